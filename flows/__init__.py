@@ -1,7 +1,7 @@
-"""The chains of tasks, and the `hfb` command line.
+"""Chains of tasks, and the `hfb` command line.
 
-Prefect and MLflow read their settings when they are imported, so what this project wants of them is said here,
-before any module of this package can import them. What the user has set is left alone.
+Prefect and MLflow read their settings when they are imported. This project's settings are therefore set here, before
+any module of this package can import them; the user's own settings take precedence.
 """
 
 import os

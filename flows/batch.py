@@ -54,17 +54,17 @@ def batch(
 ) -> dict[str, Any]:
     """Run every clip of a folder through `hfb.flows.everyone.run_clip`, into ``out/NAME``, with ``out/summary.html``.
 
-    One clip's trouble, such as a name that no folder can have or a damaged result, is that clip's alone.
+    A problem of one clip, such as an impossible folder name or a damaged result, does not affect the others.
 
     Args:
         folder: of the clips.
         out: where the results go.
-        config: options as plain content, or the file that holds them.
+        config: options as plain content, or a file of them.
         workers: see `hfb.tasks.workers.engine.engine_of`.
         attempts: failures after which a clip is set aside.
         wait_s: before the second attempt [s], doubled for each further.
-        watch_s: keep looking for new clips, so often [s]; None: end when nothing is left to do.
-        again: take clips that were set aside once more.
+        watch_s: interval of the search for new clips [s]; None: end when nothing is left to do.
+        again: whether to retry clips that were set aside.
         store: see `hfb.tasks.workers.engine.engine_of`.
 
     Returns:
@@ -104,7 +104,7 @@ def batch(
 
 
 class _Rounds:
-    """A folder, looked through again and again."""
+    """A folder that is looked through repeatedly."""
 
     def __init__(
         self,
@@ -127,7 +127,7 @@ class _Rounds:
         self._seen: dict[str, float] = {}  # stamp of a clip -> when it was first seen, on a clock that does not jump
 
     def once(self) -> float | None:
-        """Work on every clip whose time has come; the seconds until the next one's, None where nothing waits."""
+        """Run every clip that is due; return the seconds until the next one, None where none waits."""
         due: list[float] = []
         self._troubles.clear()
         for place in self._look():
@@ -150,7 +150,7 @@ class _Rounds:
         return max(0.2, min(due) - time.monotonic()) if due else None
 
     def _entry(self, place: ClipPlace, stamp: str) -> Entry | None:
-        """What is known of a clip; None too where its result is gone: it is made again."""
+        """Return the state of a clip; None also where its result is missing: it is then made again."""
         entry = self.ledger.entry(place.name, stamp)
         result = self._out / place.name / RESULT
         there = os.path.lexists(result) and not is_unfinished(self._out, place.name)
@@ -158,10 +158,9 @@ class _Rounds:
         return None if gone else entry
 
     def _wait(self, stamp: str, entry: Entry | None, written: float) -> float:
-        """Seconds until a clip's time has come.
+        """Return the seconds until a clip is due.
 
-        Clocks jump, and files bring the times of other machines' clocks: a time that lies further ahead than it can
-        is not believed.
+        Clocks jump, and files carry the times of other machines' clocks: implausibly late times are ignored.
         """
         now = time.time()
         still_s, again_s = written + _STILL_S - now, entry.due - now if entry else 0.0
@@ -172,11 +171,11 @@ class _Rounds:
         return max(still_s, again_s)
 
     def _pause(self, entry: Entry) -> float:
-        """Seconds between a failure and the next attempt."""
+        """Return the seconds between a failure and the next attempt."""
         return pause_s(self._wait_s, entry.attempts)
 
     def _work(self, place: ClipPlace, stamp: str) -> Entry | None:
-        """One clip; None where it is done."""
+        """Run one clip; returns None where it is done."""
         progress.say(f"hfb: {place.shown}")
         hopeless = False
         try:
@@ -217,7 +216,7 @@ class _Rounds:
         return entry
 
     def summary(self) -> dict[str, Any]:
-        """How many clips there are, and what became of them."""
+        """Return the number of clips in each state."""
         counts, out = self._summary.counts(), self._out.resolve()
         return {
             "clips": counts.clips,
@@ -229,7 +228,7 @@ class _Rounds:
         }
 
     def _look(self) -> tuple[ClipPlace, ...]:
-        """The clips as they are now; the pages show these."""
+        """List the clips as they are now, and update the pages."""
         places = find_clips(self._folder, self._out)
         states = []
         for place in places:
@@ -241,13 +240,13 @@ class _Rounds:
 
 
 def _state(entry: Entry | None) -> str:
-    """What the pages say of a clip."""
+    """Return the displayed state of a clip."""
     if entry is None:
         return "new"
     return entry.status if entry.status != "failed" else f"tried {entry.attempts} times, again later"
 
 
 def _unrecorded(result: dict[str, Any]) -> bool:
-    """Whether the tracking store was away when a finished clip, or somebody in it, was to be recorded."""
+    """Return whether the tracking store was unavailable when a finished clip, or a person in it, was recorded."""
     parts = [one for one in result["people"] if not one["error"]] if result.get("people") else [result]
     return any(one.get("mlflow_run_id") is None for one in parts)

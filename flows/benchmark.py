@@ -1,4 +1,4 @@
-"""Methods against cases of known truth: make the set, run everything on it from the same starts, and tabulate."""
+"""Run methods on cases with known truth: make the set, run everything from the same starts, and tabulate."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ R = TypeVar("R")
 
 
 class BenchmarkPlan(Record):
-    """Everything that decides a benchmark's figures; how many workers compute them does not."""
+    """Everything that decides a benchmark's figures; the number of workers does not."""
 
     spec: Spec
     count: int
@@ -60,35 +60,35 @@ class BenchmarkPlan(Record):
 def run_benchmark(
     plan: BenchmarkPlan, out: Path, engine: Engine | int, experiment: Experiment | None = None
 ) -> dict[str, Any]:
-    """See `_benchmark`; the engine changes nothing but the seconds.
+    """Run methods on a set of cases; see `_benchmark`. The engine does not change the result.
 
-    Cases are drawn on this machine; what is estimated from them, and every method, wherever the engine computes.
+    Cases are drawn on this machine; estimates and methods run on the engine.
 
     Args:
-        plan: what decides the figures.
+        plan: set, methods and starts.
         out: where the results go.
-        engine: what computes.
-        experiment: the paper's table that is set beside the results.
+        engine: where computations run.
+        experiment: the paper's table to compare with.
     """
     with workers(engine):
         return _benchmark.with_options(task_runner=_threads())(plan, out, experiment)
 
 
 def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> dict[str, Any]:
-    """See `_synthesis`.
+    """Write the cases of a set; see `_synthesis`.
 
     Args:
         spec: the set.
-        count: how many cases.
+        count: number of cases.
         out: where they go.
-        engine: what computes.
+        engine: where computations run.
     """
     with workers(engine):
         return _synthesis.with_options(task_runner=_threads())(spec, count, out)
 
 
 def _threads() -> Any:  # Prefect's own types do not take its own runner
-    """One thread per worker: a task waits while its worker computes."""
+    """Return a runner of one thread per worker: a task waits while its worker computes."""
     return ThreadPoolTaskRunner(max_workers=worker_count())
 
 
@@ -121,14 +121,14 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
 
 @flow(name="benchmark", persist_result=False, on_running=[mark_owner])
 def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = None) -> dict[str, Any]:
-    """Cases, mattes and starts, methods, tables, one page with everything; recorded in MLflow, published in ``out``.
+    """Make cases, estimate mattes and starts, run methods, tabulate; recorded in MLflow, published in ``out``.
 
-    A case that cannot be made or seen is left out for every method, and named in the summary.
+    A case that cannot be made or has no visible person is left out for every method, and named in the summary.
 
     Args:
-        plan: what decides the figures.
+        plan: set, methods and starts.
         out: where the results go.
-        experiment: the paper's table that is set beside the results.
+        experiment: the paper's table to compare with.
 
     Returns:
         the content of result.json: the summary, and where things are.
@@ -217,7 +217,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
 def _made(
     spec: Spec, count: int, folder: Path, *, cases_folder: Path, out: Path
 ) -> tuple[SourcesHandle, list[CaseHandle], dict[str, str]]:
-    """The cases that could be made, and why others could not."""
+    """Return the cases that could be made, and why others could not."""
     folders = spec.videos if isinstance(spec, RealSpec) else (spec.motions, spec.backgrounds, spec.textures)
     check_sources_out(folders, out)
     for given in folders:
@@ -238,7 +238,7 @@ def _made(
 
 
 def _successes(outcomes: list[Outcome[R]], names: list[str], skipped: dict[str, str]) -> list[R]:
-    """The results, failures moved to ``skipped``; raises the first failure where nothing else is left."""
+    """Return the results, with failures moved to ``skipped``; raises the first failure where no result is left."""
     for name, outcome in zip(names, outcomes, strict=True):
         if outcome.error is not None:
             skipped[name] = str(outcome.error) or type(outcome.error).__name__
@@ -250,7 +250,7 @@ def _successes(outcomes: list[Outcome[R]], names: list[str], skipped: dict[str, 
 
 
 def _notes(plan: BenchmarkPlan) -> tuple[str, ...]:
-    """What a reader of the table has to know."""
+    """Return notes below the table."""
     start = "simulated after the paper's METRO" if plan.start == "simulated" else f"estimated ({plan.init.method})"
     notes = [f"starts: {start}", f"mattes: {plan.matting.method}"]
     if isinstance(plan.spec, RealSpec):

@@ -1,4 +1,4 @@
-"""The steps of a clip, each a few tasks over all its frames: see, find first bodies, fit windows, join, look."""
+"""The steps of a clip, each a few tasks over all its frames: see, find first bodies, fit windows, join."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hfb.tasks.inputs.given_networks import tell_networks
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.map_task import Outcome, map_task
 from hfb.tasks.results.exports import ShotHandle
-from hfb.tasks.results.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
+from hfb.tasks.results.result_warnings import plate_warnings, tell
 from hfb.tasks.task import Task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.video.external_poses import GivenBodyCall, find_given_body, looks_at, pictures_of, read_result
@@ -43,31 +43,31 @@ from hfb.tasks.video.video_frames import (
     find_key_body,
     find_matte,
 )
-from hfb.tasks.video.video_look import ScoreCall, draw_clip, judge_clip, score_frames
 from hfb.tasks.video.video_windows import (
+    MirrorCall,
     WindowCall,
     estimate_identity,
     fill_bodies,
     fit_clip_window,
     join_clip,
     mend_fronts,
+    mirror_body,
 )
 from hfb.tracking.clip_bodies import key_frames
 
-_CHUNK = 16  # frames per task where a task per frame would cost more than its work
-_SHOWN = 6
+CHUNK = 16  # frames per task where a task per frame would cost more than its work
 C = TypeVar("C", bound=Call)
 R = TypeVar("R")
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A clip whose frames are pictures.
+    """A clip whose frames are image files.
 
     Attributes:
-        mattes: of the frames in which somebody is seen.
-        areas: their sums [px], 0 elsewhere.
-        warnings: of the plate, which are told before the fit.
+        mattes: of the frames in which the person is visible.
+        areas: sums of the mattes [px], 0 elsewhere.
+        warnings: about the plate, shown before the fit.
     """
 
     inputs: VideoInputs
@@ -81,17 +81,30 @@ class Scene:
     warnings: tuple[ResultWarning, ...] = ()
 
     def of(self, numbers: Sequence[int]) -> tuple[ClipHandle, tuple[FileHandle, ...]]:
-        """Some frames as a clip of their own, and their mattes."""
+        """Return some frames as a clip of their own, and their mattes.
+
+        Args:
+            numbers: of the frames.
+        """
         plate = FileHandle(path=self.plate.path, sha256=self.plate.sha256)
         frames = tuple(self.frames[number] for number in numbers)
         return self.footage.clip(frames, plate), tuple(self.mattes[number] for number in numbers)
 
     def still(self, number: int) -> ClipHandle:
-        """Return one frame for a step that needs the camera but no time."""
+        """Return one frame for a step that needs the camera but no time.
+
+        Args:
+            number: of the frame.
+        """
         return self.footage.still(self.frames[number], self.plate, camera=True)
 
     def shot(self, motion: FileHandle, person: FileHandle) -> ShotHandle:
-        """Return what films are drawn from."""
+        """Return everything that films are rendered from.
+
+        Args:
+            motion: of the whole clip.
+            person: with the texture.
+        """
         plate = FileHandle(path=self.plate.path, sha256=self.plate.sha256)
         return ShotHandle(
             clip=self.footage.clip(self.frames, plate),
@@ -104,22 +117,29 @@ class Scene:
 
 @dataclass(frozen=True)
 class Fitted:
-    """All windows of a clip, and whose motion they are.
+    """All windows of a clip, and the person's identity.
 
     Attributes:
         resumed: frames whose fit an earlier run had finished.
+        fronts: per segment the log odds that the first bodies as found face the right way.
     """
 
     windows: tuple[WindowHandle, ...]
     person: FileHandle
     resumed: frozenset[int] = field(default_factory=frozenset)
+    fronts: Mapping[int, float] = field(default_factory=dict)
 
 
 def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
-    """The frames as pictures, the plate, and the person's matte in every frame where somebody is seen.
+    """Extract the frames, find the plate, and estimate the matte of every frame in which the person is visible.
+
+    Args:
+        inputs: of the run.
+        config: all options.
+        folder: of intermediate files.
 
     Raises:
-        InputError: the footage, the plate or the track cannot be used, or nobody is seen in any frame.
+        InputError: the footage, the plate or the track cannot be used, or no frame shows a person.
     """
     footage = look_at_clip(
         inputs=inputs, average=config.video.average, camera=config.camera, exposure=config.exposure, folder=folder
@@ -135,10 +155,10 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
     chunks = [
-        ExtractCall(footage=footage, start=at, stop=min(at + _CHUNK, footage.count), folder=folder)
-        for at in range(0, footage.count, _CHUNK)
+        ExtractCall(footage=footage, start=at, stop=min(at + CHUNK, footage.count), folder=folder)
+        for at in range(0, footage.count, CHUNK)
     ]
-    frames = tuple(file for chunk in _require_all(extract_frames, chunks, "frames") for file in chunk.files)
+    frames = tuple(file for chunk in require_all(extract_frames, chunks, "frames") for file in chunk.files)
     calls = [
         MatteCall(
             still=footage.still(frame, plate),
@@ -152,7 +172,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
         for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))
         if box is not None
     ]
-    found = dict(zip((call.number for call in calls), _require_all(find_matte, calls, "mattes"), strict=True))
+    found = dict(zip((call.number for call in calls), require_all(find_matte, calls, "mattes"), strict=True))
     mattes = {number: one.file for number, one in found.items() if one.file is not None}
     if not mattes:
         reason = next((one.reason for one in found.values()), "nobody differs from the background")
@@ -162,7 +182,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
 
 
 def _check_plate(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -> tuple[ResultWarning, ...]:
-    """Whether the plate holds the person."""
+    """Return warnings where the plate contains the person."""
     if HOLDS_PERSON in plate.source:
         return plate_warnings([f"it seems that {HOLDS_PERSON}"])
     never = check_never_left(track.boxes) if inputs.plate == "median" else None
@@ -170,7 +190,10 @@ def _check_plate(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) ->
 
 
 def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
-    """A body for every frame but those of long absences.
+    """Find a body for every frame except in long gaps.
+
+    Args:
+        scene: the clip.
 
     Raises:
         InputError: no body is found in any frame.
@@ -193,7 +216,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
         )
         for n in keys
     ]
-    searched = _require_all(find_key_body, calls, "first bodies")
+    searched = require_all(find_key_body, calls, "first bodies")
     found = {number: one.first for number, one in zip(keys, searched, strict=True) if one.first is not None}
     if not found:
         raise InputError(f"no body is found in any frame ({searched[0].reason})")
@@ -211,7 +234,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
         )
         for n in others
     ]
-    placed = _require_all(find_body_between, between, "first bodies between")
+    placed = require_all(find_body_between, between, "first bodies between")
     for number, one in zip(others, placed, strict=True):
         if one.first is not None:
             known[number] = one.first
@@ -219,7 +242,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
 
 
 def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
-    """Another system's bodies, each laid onto its matte; frames in which it saw nobody by their neighbours."""
+    """Align another system's bodies with their mattes; frames without the person are filled from their neighbours."""
     inputs, first = scene.inputs, scene.config.init.frame
     names, frames = pictures_of(scene.footage, inputs.video, first)
     result = read_result(
@@ -248,7 +271,7 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
         )
         for n in sorted(scene.mattes)
     ]
-    given = _require_all(find_given_body, calls, "first bodies of the result")
+    given = require_all(find_given_body, calls, "first bodies of the result")
     found = {call.number: one.first for call, one in zip(calls, given, strict=True) if one.first is not None}
     if not found:
         raise InputError(f"the result has a body for none of the frames ({given[0].reason}); say with --init.frame")
@@ -256,7 +279,7 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
 
 
 def _fill(scene: Scene, known: Mapping[int, FirstBodyHandle]) -> ClipBodiesHandle:
-    """Bodies of the other frames, from their neighbours'."""
+    """Fill the other frames from their neighbours' bodies."""
     numbers = tuple(sorted(known))
     return fill_bodies(
         numbers=numbers,
@@ -268,18 +291,29 @@ def _fill(scene: Scene, known: Mapping[int, FirstBodyHandle]) -> ClipBodiesHandl
 
 
 def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tuple[int, ...], float], None]) -> Fitted:
-    """The person from a few windows, then every window with that person.
+    """Estimate the identity from a few windows, then fit every window with it.
 
     Args:
         scene: the clip.
         bodies: its first bodies.
-        on_fitted: called in order with the frames that a window settles and its loss.
+        on_fitted: called in order with the frames that a window adds and its loss.
     """
     config = scene.config
     windows = plan_windows(np.array(bodies.usable, bool), config.video.window)
     settling = person_windows(windows, np.array(scene.areas), config.video.person_windows)
     first_calls = [_window_call(scene, bodies, windows[index], None) for index in settling]
-    first_fits = _require_all(fit_clip_window, first_calls, "who it is")
+    first_fits = require_all(fit_clip_window, first_calls, "who it is")
+    fronts = weigh_segments(first_fits)
+    bodies = _turn_bodies(scene, bodies, windows, fronts)
+    again = [
+        index
+        for index, found in zip(settling, first_fits, strict=True)
+        if found.mirrored != (fronts.get(found.segment, 0.0) < 0)
+    ]
+    if again:  # neighbours outvoted what these windows kept
+        calls = [_window_call(scene, bodies, windows[index], None, turned=True) for index in again]
+        refitted = dict(zip(again, require_all(fit_clip_window, calls, "who it is, other front"), strict=True))
+        first_fits = [refitted.get(index, found) for index, found in zip(settling, first_fits, strict=True)]
     person = estimate_identity(tuple(first_fits), scene.inputs.body, scene.folder)
     settled = _assign_frames(windows)
     resumed: set[int] = set()
@@ -292,11 +326,56 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
         on_fitted(settled[index], outcome.result.loss)
 
     calls = [_window_call(scene, bodies, window, person) for window in windows]
-    return Fitted(tuple(_require_all(fit_clip_window, calls, "windows", fitted)), person, frozenset(resumed))
+    fits = tuple(require_all(fit_clip_window, calls, "windows", fitted))
+    return Fitted(fits, person, frozenset(resumed), fronts)
+
+
+def weigh_segments(fits: Sequence[WindowHandle]) -> dict[int, float]:
+    """Return, per segment of a clip, the log odds that its first bodies face the right way.
+
+    People do not turn around unseen within a segment, and the bodies of one agree: what its windows say adds up.
+
+    Args:
+        fits: windows that were fitted without a person; a segment without one is left out.
+    """
+    odds: dict[int, float] = {}
+    for one in fits:
+        odds[one.segment] = odds.get(one.segment, 0.0) + one.front_log_odds
+    return odds
+
+
+def _turn_bodies(
+    scene: Scene, bodies: ClipBodiesHandle, windows: Sequence[ClipWindow], fronts: Mapping[int, float]
+) -> ClipBodiesHandle:
+    """Mirror the bodies of segments that are likelier to face the other way."""
+    numbers = sorted({frame for one in windows if fronts.get(one.segment, 0.0) < 0 for frame in one.frames})
+    if not numbers:
+        return bodies
+    calls = [
+        MirrorCall(
+            number=number,
+            still=scene.still(number),
+            matte=scene.mattes[number],
+            body=scene.inputs.body,
+            folder=scene.folder,
+            first=first,
+        )
+        for number in numbers
+        if (first := bodies.firsts[number]) is not None
+    ]
+    turned = dict(zip(numbers, require_all(mirror_body, calls, "other front"), strict=True))
+    return bodies.model_copy(
+        update={"firsts": tuple(turned.get(number, one) for number, one in enumerate(bodies.firsts))}
+    )
 
 
 def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
-    """One continuous motion."""
+    """Join all windows into one continuous motion.
+
+    Args:
+        scene: the clip.
+        fitted: its windows.
+    """
     config = scene.config
     return join_clip(
         footage=scene.footage,
@@ -309,79 +388,13 @@ def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
     )
 
 
-def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[int, float]]:
-    """How well the motion explains every frame, and how far it is from the truth where that is known."""
-    numbers = sorted({frame for window in fitted.windows for frame in window.frames})
-    calls = []
-    for at in range(0, len(numbers), _CHUNK):
-        some = tuple(numbers[at : at + _CHUNK])
-        clip, mattes = scene.of(some)
-        calls.append(
-            ScoreCall(
-                clip=clip,
-                numbers=some,
-                mattes=mattes,
-                motion=joined.motion,
-                person=fitted.person,
-                body=scene.inputs.body,
-                config=scene.config.fit,
-            )
-        )
-    told = _require_all(score_frames, calls, "scores")
-    if scene.inputs.truth is not None:
-        told.append(judge_clip(joined.motion, scene.inputs.truth))
-    scores: dict[str, dict[int, float]] = {}
-    for one in told:
-        for name, values in one.scores.items():
-            scores.setdefault(name, {}).update(zip(one.frames, values, strict=True))
-    return scores
-
-
-def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[int, float]) -> list[ResultWarning]:
-    """What is wrong with the result, the plate's warnings first.
-
-    Args:
-        scene: the clip.
-        fitted: its windows.
-        joined: its motion.
-        matte_iou: by frame, where it is known.
-    """
-    shown = looks_over(sorted({frame for window in fitted.windows for frame in window.frames}))
-    clip, mattes = scene.of(shown)
-    found = look_for_warnings(
-        clip=clip,
-        numbers=shown,
-        mattes=mattes,
-        motion=joined.motion,
-        matte_iou=tuple(sorted(matte_iou.items())),
-        body=scene.inputs.body,
-        config=scene.config.fit,
-    ).warnings
-    tell(found)
-    return [*scene.warnings, *found]
-
-
-def draw(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> FileHandle:
-    """A few frames, spread over the clip, as a strip."""
-    numbers = sorted({frame for window in fitted.windows for frame in window.frames})
-    shown = tuple(sorted({numbers[round(float(at))] for at in np.linspace(0, len(numbers) - 1, _SHOWN)}))
-    clip, mattes = scene.of(shown)
-    note = f"frames {', '.join(map(str, shown))} of {scene.footage.count}"
-    return draw_clip(
-        clip=clip,
-        numbers=shown,
-        mattes=mattes,
-        motion=joined.motion,
-        person=fitted.person,
-        body=scene.inputs.body,
-        config=scene.config.fit,
-        note=note,
-        folder=scene.folder,
-    )
-
-
-def _window_call(scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, person: FileHandle | None) -> WindowCall:
+def _window_call(
+    scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, person: FileHandle | None, *, turned: bool = False
+) -> WindowCall:
     config, inputs = scene.config, scene.inputs
+    of_fit = person_config(config) if person is None else window_config(config)
+    if turned:
+        of_fit = of_fit.model_copy(update={"both_fronts": False})
     clip, mattes = scene.of(window.frames)
     return WindowCall(
         clip=clip,
@@ -392,14 +405,15 @@ def _window_call(scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, per
         body=inputs.body,
         priors=PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior),
         person=person,
-        config=person_config(config) if person is None else window_config(config),
+        turned=turned,
+        config=of_fit,
         seed=config.seed,
         folder=scene.folder,
     )
 
 
 def _assign_frames(windows: Sequence[ClipWindow]) -> list[tuple[int, ...]]:
-    """Per window the frames that no window before it has: every frame once."""
+    """Return per window the frames that no earlier window has."""
     seen: set[int] = set()
     settled = []
     for window in windows:
@@ -409,19 +423,26 @@ def _assign_frames(windows: Sequence[ClipWindow]) -> list[tuple[int, ...]]:
 
 
 def _around(number: int, known: Mapping[int, FirstBodyHandle]) -> tuple[tuple[int, FirstBodyHandle], ...]:
-    """The nearest known bodies before and after a frame: more would make every frame depend on all."""
+    """Return the nearest known bodies before and after a frame; with more, every frame would depend on all."""
     before = max((frame for frame in known if frame < number), default=None)
     after = min((frame for frame in known if frame > number), default=None)
     return tuple((frame, known[frame]) for frame in (before, after) if frame is not None)
 
 
-def _require_all(
+def require_all(
     task: Task[[C], R],
     calls: Sequence[C],
     label: str,
     on_outcome: Callable[[int, Outcome[R]], None] | None = None,
 ) -> list[R]:
-    """All results in order; the first failure ends the rest, for the whole needs every one."""
+    """Return all results in order; the first failure stops the rest.
+
+    Args:
+        task: of one record.
+        calls: the records.
+        label: displayed while they run.
+        on_outcome: called with the number and outcome of each call, in order.
+    """
     server = ServerWatch()
 
     def watched(index: int, outcome: Outcome[R]) -> None:

@@ -1,4 +1,4 @@
-"""Recorded runs beside each other: a page with all of them under one slider, a picture, and the numbers."""
+"""Compare recorded runs: a page with one time slider for all of them, an image, and the numbers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PAGE, PICTURE, FIGURES = "comparison.html", "comparison.png", "comparison.json"
 
 @dataclass(frozen=True)
 class _Shown:
-    """What there is to see of a run: what it found, drawn by itself, and as a body that can be turned."""
+    """Motion, image and viewer of a run."""
 
     run: StoredRun
     motion: SampledMotion | None
@@ -49,11 +49,11 @@ class _Shown:
 
 
 def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
-    """Compare two runs or more; leaves comparison.html, comparison.png and comparison.json.
+    """Compare two runs or more; writes comparison.html, comparison.png and comparison.json.
 
     Args:
         words: of each run its id, the beginning of it, or its result's folder.
-        out: a folder; one under runs/ when not given.
+        out: a folder; None for one under runs/.
 
     Returns:
         the content of comparison.json.
@@ -85,7 +85,11 @@ def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
 
 
 def sentence(difference: MotionDifference | None) -> str:
-    """How far two motions are from each other, in words."""
+    """Return a sentence on the distance of two motions.
+
+    Args:
+        difference: of the motions; None where one is missing.
+    """
     if difference is None:
         return "At least one of them has no motion: there is none to compare."
     if difference.bit_equal:
@@ -116,7 +120,7 @@ def _seen(run: StoredRun, folder: Path) -> _Shown:
 
 
 def _picture(run: StoredRun, folder: Path) -> Any:
-    """The run's own picture of what it found."""
+    """Return the run's own image of its result."""
     for name in _PICTURES:
         path = fetch_file(run, name, folder)
         if path is not None:
@@ -128,13 +132,13 @@ def _picture(run: StoredRun, folder: Path) -> Any:
 
 
 def _differences(motions: Sequence[SampledMotion | None]) -> list[MotionDifference | None]:
-    """Of every motion but the first from the first."""
+    """Return the difference of every motion but the first from the first."""
     first, *others = motions
     return [motion_difference(first, other) if first and other else None for other in others]
 
 
 def _overlay(shown: Sequence[_Shown], differences: Sequence[MotionDifference | None]) -> Any:
-    """All skeletons that share a frame with the first; None where there are none."""
+    """Draw all skeletons that share a frame with the first; None where there are none."""
     pairs = [(one, far) for one, far in zip(shown[1:], differences, strict=True) if far and far.mean_mm is not None]
     if not pairs:
         return None
@@ -179,7 +183,7 @@ def _rows(every: Sequence[Words]) -> tuple[tuple[str, ...], ...]:
 def _result(
     comparison: RunComparison, differences: Sequence[MotionDifference | None], folder: Path, has_picture: bool
 ) -> dict[str, Any]:
-    """comparison.json: ``a`` and ``b`` are the first two runs, ``more`` the others; distances are from the first."""
+    """Return comparison.json: ``a`` and ``b`` are the first two runs, ``more`` the others."""
     place, runs = folder.resolve(), comparison.runs
     motions = [
         far and {"bit_equal": far.bit_equal, "mean_mm": far.mean_mm, "max_mm": far.max_mm} for far in differences
@@ -215,7 +219,7 @@ def _plain(every: Sequence[Words] | Sequence[Numbers]) -> list[dict[str, Any]]:
 
 
 def _check_room(folder: Path) -> None:
-    """Raises InputError where files lie that an earlier comparison did not leave, or an input would be replaced."""
+    """Raise InputError if foreign files or an input would be replaced."""
     for name in (FIGURES, PAGE, PICTURE):
         check_ordinary(folder, name)
     try:

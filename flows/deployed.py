@@ -1,7 +1,7 @@
-"""The chains as a server starts them: the deployments of infra/prefect.yaml; their parameters are the form on its page.
+"""Flows that a Prefect server starts: the deployments of infra/prefect.yaml; their parameters are the form on its page.
 
-Each does what the command of that name does, with the files and folders of the machine that the worker runs on. What
-went wrong is the flow run's message; nothing is asked, and nothing is kept in a terminal's words.
+Each does the same as the command of its name, with files and folders of the worker's machine. An error becomes the
+flow run's message.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ Natural = Annotated[int, Field(ge=0)]
 
 
 class Options(RunConfig):
-    """The options of the method, as `hfb fit --help` tells them; of `fit` only what is unlike the preset."""
+    """The options of the method as in `hfb fit --help`; of `fit` only those that differ from the preset."""
 
     fit: dict[str, Any] = Field(  # type: ignore[assignment]  # a form would fill in one preset's values for the other
         {}, description='what is unlike the preset, such as {"subframes": 12}; {"rasterizer": "cuda"} draws on a GPU'
     )
 
     def config(self) -> RunConfig:
-        """The configuration that these options and their preset make together; raises InputError."""
+        """Return the configuration of the preset with these options; raises InputError."""
         fit = to_record(RunConfig, {"fit": self.fit}, "options").model_dump(exclude_unset=True)
         return to_record(RunConfig, merged(preset(self.preset).model_dump(), self.model_dump() | fit), "options")
 
@@ -66,20 +66,20 @@ def fit(
     *,
     options: Options = _BEST,
 ) -> dict[str, Any]:
-    """Blurred pictures of a static camera to a moving body, as `hfb fit`.
+    """Fit blurred images of a static camera to a moving body, as `hfb fit`.
 
     Args:
-        frames: blurred pictures, in their order; several are one problem.
+        frames: blurred images, in their order; several are one problem.
         background: the same view without the person.
-        out: the folder for the results; made where there is none.
+        out: the folder of the results, which need not exist.
         clip: a clip.toml with camera and exposure of the recording.
-        options: options of the method.
+        options: of the method.
 
     Returns:
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
         InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
@@ -99,23 +99,23 @@ def video(
     store: str | None = None,
     options: Options = _BEST,
 ) -> dict[str, Any]:
-    """A blurred video of a static camera to one continuous motion, as `hfb video`. Run again, it goes on.
+    """Fit a blurred video of a static camera to one continuous motion, as `hfb video`. A repeated run continues.
 
     Args:
         source: a video, a folder of its frames, or a folder with a clip.toml.
-        out: the folder for the results; made where there is none.
-        background: a picture of the view without the person, or the word median or still.
+        out: the folder of the results, which need not exist.
+        background: an image of the view without the person, or the word median or still.
         clip: camera, exposure, time range and person; else the clip.toml in the folder.
-        everyone: each person who is seen, one after the other.
-        workers: how many processes compute, or a cluster, such as dask:tcp://host:8786; changes no digit.
-        store: with a cluster whose workers do not see this machine's files, where they are shared: s3://bucket/prefix.
-        options: options of the method.
+        everyone: whether to fit all visible people, one after the other.
+        workers: number of processes, or a cluster such as dask:tcp://host:8786; the result does not depend on it.
+        store: shared files, such as s3://bucket/prefix, for a cluster that does not share this machine's disk.
+        options: of the method.
 
     Returns:
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
         InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
@@ -137,20 +137,20 @@ def batch(
     again: bool = False,
     options: Options = _BEST,
 ) -> dict[str, Any]:
-    """Every clip of a folder, once; failures again later, hopeless ones set aside. As `hfb batch`.
+    """Fit every clip of a folder once; failures are retried, hopeless ones set aside. As `hfb batch`.
 
     Args:
         folder: NAME.mp4 with NAME.toml, and folders NAME/ with a clip.toml.
-        out: the folder for the results, NAME/ each; summary.html in it tells of all.
-        workers: how many processes compute, or a cluster, such as dask:tcp://host:8786; changes no digit.
-        store: with a cluster whose workers do not see this machine's files, where they are shared: s3://bucket/prefix.
+        out: the folder of the results, NAME/ each, with summary.html.
+        workers: number of processes, or a cluster such as dask:tcp://host:8786; the result does not depend on it.
+        store: shared files, such as s3://bucket/prefix, for a cluster that does not share this machine's disk.
         attempts: failures after which a clip is set aside.
         wait_s: seconds before a second attempt, doubled for each further.
-        again: take clips that were set aside once more.
-        options: options of the method.
+        again: whether to retry clips that were set aside.
+        options: of the method.
 
     Returns:
-        how many clips there are and what became of them, and where the page is.
+        the number of clips in each state, and the page.
 
     Raises:
         InputError: the folder cannot be read or ``out`` not be written, or another process works on it.
@@ -183,24 +183,24 @@ def benchmark(
     workers: Workers = 1,
     store: str | None = None,
 ) -> dict[str, Any]:
-    """Methods against cases of known truth: tables, plots, a page. As `hfb benchmark`. Run again, it goes on.
+    """Compare methods on cases of known truth: tables, plots, a page. As `hfb benchmark`. A repeated run continues.
 
     Args:
-        out: the folder for cases, answers and tables; made where there is none.
+        out: the folder of cases, results and tables, which need not exist.
         set: which set.
-        count: how many cases.
+        count: number of cases.
         frames: blurred frames per case.
-        methods: names as in `hfb benchmark --help`; left empty, what suits the set.
-        start: what all methods start from; left empty, what suits the set.
-        seed: of everything that is random.
+        methods: names as in `hfb benchmark --help`; empty for the set's default.
+        start: origin of the static bodies; empty for the set's default.
+        seed: of the random numbers.
         motions: a folder with AMASS, BVH, DeepMimic, CAPE or hfb's own motion files; left empty, the built-in ones.
         videos: of real and b-aist, folders with videos of a static camera.
-        average: of real and b-aist, frames per exposure; left empty, what suits the set.
+        average: of real and b-aist, frames per exposure; empty for the set's default.
         body: a SMPL file, for the truth and the fit; left empty, the embedded body.
-        fill: how many cases each interval of blur gets.
+        fill: distribution of the cases over intervals of blur.
         chains: a file with deblur-then-estimate chains.
-        workers: how many processes compute, or a cluster, such as dask:tcp://host:8786; changes no digit.
-        store: with a cluster whose workers do not see this machine's files, where they are shared: s3://bucket/prefix.
+        workers: number of processes, or a cluster such as dask:tcp://host:8786; the result does not depend on it.
+        store: shared files, such as s3://bucket/prefix, for a cluster that does not share this machine's disk.
 
     Returns:
         the content of result.json.
@@ -240,17 +240,17 @@ def benchmark(
 
 @flow(name="train-prior", persist_result=False, on_running=[mark_owner])
 def train(plan: TrainingPlan, out: Path) -> dict[str, Any]:
-    """Learn from motion capture how people move, or stand, as `hfb train-prior`. Run again, it goes on.
+    """Train a prior of motions or poses from motion capture, as `hfb train-prior`. A repeated run continues.
 
     Args:
-        plan: the recordings, and how to learn from them.
-        out: the file for the weights, NAME.safetensors.
+        plan: recordings and options of the training.
+        out: the file of the weights, NAME.safetensors.
 
     Returns:
-        what the prior knows, and where it is.
+        measurements of the prior, and its files.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
     """
     with _on_a_worker(out.parent, out=out, motions=plan.motions):
         return train_prior.train_prior.fn(plan, out)
@@ -265,9 +265,9 @@ def _on_a_worker(
     /,
     **files: Path | str | Sequence[Path | str] | None,
 ) -> Iterator[None]:
-    """What `hfb.flows.runtime.session` sets up around a command, after a look at where the parameters point.
+    """Set up what `hfb.flows.runtime.session` sets up around a command, after a check of the parameters' paths.
 
-    A store that does not answer is told before anything is done.
+    A store that does not answer is reported before anything is computed.
     """
     if places.is_limited():
         for name, paths in {"out": folder, **files}.items():

@@ -1,4 +1,4 @@
-"""A clip as a user means it: one person's motion, or everyone's, one after the other."""
+"""Fit a clip of one person, or of several people one after the other."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ _KEPT = (
 
 
 def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
-    """The person whom the clip names, into ``out``; everyone, each into a folder and a run of their own in it.
+    """Fit the clip's person into ``out``; or everyone, each into a folder and a run of their own in it.
 
     Args:
-        inputs: what the user handed over.
+        inputs: of the run.
         out: where the results go.
         config: all options.
-        engine: what computes.
+        engine: where computations run.
 
     Returns:
-        the content of result.json; of everyone: what became of each person, and the sums.
+        the content of result.json; of everyone: the result of each person, and the sums.
 
     Raises:
-        InputError: something given cannot be used; of everyone: nobody is seen, or nobody's motion was found.
+        InputError: an input cannot be used; of everyone: no person is visible, or no motion was found.
         InfrastructureError: see `hfb.flows.video.run_video`.
     """
     if inputs.clip.person.which != "everyone":
@@ -89,10 +89,15 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
 
 
 def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[PersonSeen, ...]:
-    """Who is there, in the order of appearance, or of their names in a file of tracks.
+    """Return the people of a clip in the order of appearance, or of their names in a file of tracks.
+
+    Args:
+        inputs: of the run.
+        out: where the results go.
+        config: all options.
 
     Raises:
-        InputError: nobody is seen, or the clip cannot be used.
+        InputError: no person is visible, or the clip cannot be used.
     """
 
     # A closure, as in `hfb.flows.video.run_video`.
@@ -110,7 +115,7 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
 def _motion_of(
     one: PersonSeen, inputs: VideoInputs, out: Path, *, config: RunConfig, engine: Engine | int
 ) -> dict[str, Any]:
-    """What became of one person; whoever cannot be followed does not end the others."""
+    """Fit one person; a failure is part of the result and does not end the others."""
     progress.say(f"hfb: {one.name} (seen in {one.frames} frames)")
     theirs = inputs.model_copy(update={"clip": inputs.clip.model_copy(update={"person": one.choice})})
     told: dict[str, Any] = {"name": one.name, "seen": one.frames, "error": None, **dict.fromkeys(_KEPT)}

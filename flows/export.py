@@ -1,4 +1,4 @@
-"""A result in the formats of other programs: its motion files; meshes and films on request."""
+"""Export a result in the formats of other programs: motion files, meshes and films."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ def export_result(
     films: Sequence[Film] = (),
     inputs: Path | None = None,
 ) -> dict[str, Any]:
-    """Write a result's motion in the asked-for formats, and draw the asked-for films of it.
+    """Write a result's motion in several formats, and draw films of it.
 
     Args:
         source: a result's folder, a motion file, or a recorded run's id.
-        out: where the files go; ``export`` beside the motion when not given.
+        out: where the files go; None for ``export`` beside the motion.
         formats: of motion files.
         meshes: of a mesh per sub-frame.
-        body: the model that was fitted; when not given the one that the result names, or the embedded one.
+        body: the model that was fitted; None for the one that the result names, or the embedded one.
         amass_rate: poses per second in amass.npz.
         films: which.
-        inputs: where the pictures lie, for films, if they were moved; they are told by their content.
+        inputs: where to look for images that were moved; they are recognised by their content.
 
     Returns:
         ``out``, ``files`` (name: bytes), how many ``meshes``, and whose betas they are.
 
     Raises:
         InputError: there is no such result, it is damaged, a library is missing, the body is not the one fitted, films
-            are asked for and the pictures are gone, or somebody else's files lie where meshes belong.
+            are asked for and the images are gone, or somebody else's files lie where meshes belong.
     """
     check_formats(formats)
     with resolve_result(source, (TEXTURE, RESULT)) as place:
@@ -88,7 +88,7 @@ def export_result(
 def _draw_films(
     folder: Path, films: Sequence[Film], place: FoundResult, *, exported: Exported, inputs: Path | None
 ) -> list[Path]:
-    """The films; what they need is found before anything is written."""
+    """Draw the films; their inputs are located before anything is written."""
     from hfb.tasks.results.exports import write_film
     from hfb.tasks.results.reload_inputs import reload_shot
 

@@ -1,4 +1,4 @@
-"""One blurred image, or several of one static camera, to one moving body; and the embedded example."""
+"""Fit one blurred image, or several of one static camera; and the embedded example."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from prefect import flow
 
 from hfb.config import RunConfig
 from hfb.datasets.example import write_example
-from hfb.evaluation.warnings import ResultWarning
+from hfb.evaluation.warnings import ResultWarning, check_front
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.fitting.direction_trust import direction_condition
@@ -52,7 +52,7 @@ def fit_image(
     truth: Path | None = None,
     first_bodies: list[Path] | None = None,
 ) -> dict[str, Any]:
-    """Matte, first body, fitted motion, evaluation, strip; recorded in MLflow, published in ``out``.
+    """Estimate mattes and first bodies, fit, evaluate and draw; recorded in MLflow, published in ``out``.
 
     Args:
         frames: blurred images, in their order.
@@ -67,7 +67,7 @@ def fit_image(
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
     """
     return _run_chain(
         take_inputs(frames, background, config, clip, truth=truth, first_bodies=first_bodies, out=out), out, config
@@ -76,7 +76,13 @@ def fit_image(
 
 @flow(name="fit-image-again", persist_result=False, on_running=[mark_owner])
 def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
-    """`fit_image` of what was taken before, such as the inputs of a recorded run."""
+    """Run `fit_image` on inputs taken before, such as those of a recorded run.
+
+    Args:
+        inputs: with their hashes.
+        out: where the results go.
+        config: all options.
+    """
     return _run_chain(inputs, out, config)
 
 
@@ -129,6 +135,9 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             body=body,
             config=config.fit,
         ).warnings
+        if fitted.front is not None:
+            doubtful = check_front(dict.fromkeys(numbers, fitted.front.probability))
+            found = (*found, *([doubtful] if doubtful else []))
         tell(found)
         image = strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder)
         shot = ShotHandle(clip=scene, motion=fitted.motion, texture=fitted.texture, body=body, config=config.fit)
@@ -175,7 +184,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
 def _first_bodies(
     scene: ClipHandle, mattes: tuple[FileHandle, ...], *, inputs: Inputs, config: RunConfig, folder: Path
 ) -> tuple[FirstBodyHandle, ...]:
-    """One per frame: given, out of another system's result, or estimated and agreed on one front."""
+    """Return one body per frame: given, from another system's result, or estimated and made consistent in front."""
     if inputs.first_bodies:
         return tuple(given_body(file) for file in inputs.first_bodies)
     numbers = tuple(range(len(scene.frames)))
@@ -231,13 +240,14 @@ def _result(
     scores: ScoresHandle,
     warnings: tuple[ResultWarning, ...],
 ) -> dict[str, Any]:
-    """result.json: scores and times, where things are, and what they were made from."""
+    """Return result.json: scores, times, places of files, inputs and options."""
     sources = [first.source for first in firsts]
     directions = {"directions": direction_condition(sources)} if fitted.directions else {}
     return {
         **{name: value if math.isfinite(value) else None for name, value in scores.scores.items()},
         "fit_seconds": round(fitted.seconds, 3),
         "fit_stage_seconds": {name: round(seconds, 3) for name, seconds in fitted.stage_seconds.items()},
+        "front": fitted.front.model_dump() if fitted.front else None,
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "warnings": [one.model_dump(mode="json") for one in warnings],
@@ -261,13 +271,13 @@ _EXAMPLE = "example"
 def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda: None) -> dict[str, Any]:
     """Make the example in ``out/example``, then fit it; the result holds the errors against its truth.
 
+    The first body is found from the matte alone, whether or not pose networks are installed: everyone gets the same
+    figures, and the networks were not trained on rendered bodies.
+
     Args:
         out: where the results go.
         config: all options.
-        ready: called before the flow, returns when Prefect's server answers.
-
-    The first body is found from the matte alone, whether or not the pose networks are there: the same figures for
-    everyone, and the networks were never shown a drawn body.
+        ready: called before the flow; returns when Prefect's server answers.
     """
     if config.init.method == "auto":
         config = config.model_copy(update={"init": config.init.model_copy(update={"method": "matte"})})

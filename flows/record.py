@@ -1,4 +1,4 @@
-"""Results that wait to be recorded: their runs are made in MLflow, and the results name them."""
+"""Record results that MLflow did not take when they were made; the results then name their runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from hfb.tasks.tracking.tracking import StoreLost
 
 
 def record_folder(folder: Path) -> dict[str, Any]:
-    """Record the result in a folder, or of a clip of several people every person's. Doing it again changes nothing.
+    """Record the result in a folder, or every person's of a clip of several people. Repetition changes nothing.
+
+    Args:
+        folder: of the result.
 
     Returns:
         ``runs``: of each ``out``, ``mlflow_run_id``, ``mlflow_link``, and whether it is ``new``.
@@ -66,7 +69,7 @@ def _record(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _name_run(folder: Path, facts: dict[str, Any], run: RunHandle) -> None:
-    """Let the result name its run; what it was recorded from is gone then."""
+    """Write the run's id into the result, and remove the waiting record."""
     files = [name for name in facts.get("files") or () if name != RECORD]
     _rewrite(folder, facts | {"mlflow_run_id": run.run_id, "mlflow_link": run.link, "files": files})
     (folder / RECORD).unlink()

@@ -1,4 +1,4 @@
-"""The page of an earlier result, made from what it left: its folder, or the files of a recorded run."""
+"""The page of an earlier result, made from its folder or from the files of a recorded run."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
 
     Args:
         source: a result's folder, or a recorded run's id.
-        out: the folder that the page goes to; the result's own when not given.
-        body: the model that was fitted; when not given the one that the result names, or the embedded one.
-        inputs: where the pictures lie, for the film, if they were moved; they are told by their content.
+        out: folder of the page; None for the result's own.
+        body: the model that was fitted; None for the one that the result names, or the embedded one.
+        inputs: where to look for images that were moved, for the film; they are recognised by their content.
 
     Returns:
         ``report`` (its path), ``bytes``, and whether it has a ``film`` and the body's ``surface``.
@@ -68,7 +68,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
 
 
 def _run_of(folder: Path) -> StoredRun | None:
-    """The folder's run, if it was recorded and the store is there: the page can do without."""
+    """Return the folder's run, if it was recorded and the store is available; the page does not depend on it."""
     try:
         check_store(tracking_uri())
         return find_run(str(folder))
@@ -77,12 +77,12 @@ def _run_of(folder: Path) -> StoredRun | None:
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """The content of result.json; nothing where there is none. Raises InputError where it is something else."""
+    """Read result.json; empty where there is none. Raises InputError where it is something else."""
     return read_facts(path) if path.exists() else {}
 
 
 def _model(motion: Any, space: str, path: Path | None) -> Body | None:
-    """The body that was fitted; None, and a word, where it is not at hand: a skeleton is shown then."""
+    """Load the body that was fitted; None, with a line for the user, where it is missing: the page shows a skeleton."""
     try:
         return load_fitted_body(motion, space, path)
     except InputError as error:
@@ -91,7 +91,7 @@ def _model(motion: Any, space: str, path: Path | None) -> Body | None:
 
 
 def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
-    """What there is."""
+    """Return the files that exist."""
     folder = place.folder
     curves, history = folder / CURVES, folder / INTERMEDIATE / _HISTORY
     if not curves.exists():
@@ -110,7 +110,7 @@ def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
 def _film(
     place: FoundResult, run: StoredRun | None, body: Body | None, *, inputs: Path | None, made: Path
 ) -> Path | None:
-    """The page's film as it was drawn, drawn again from the pictures, or the result's own; None where there is none."""
+    """Return the page's film: as drawn before, drawn again from the images, or the result's own; None without any."""
     drawn, own = place.folder / INTERMEDIATE / PAGE_FILM, place.folder / FILM_NAMES["slowmotion"]
     if drawn.is_file() and _fits_a_page(drawn) and not shows_another_motion(drawn, sha256_of(place.motion)):
         return drawn
@@ -123,7 +123,7 @@ def _film(
 
 
 def _fits_a_page(film: Path) -> bool:
-    """Whether it is a film of a bearable size; another file could be anything."""
+    """Return whether a file is a film small enough for a page."""
     with film.open("rb") as file:
         return film.stat().st_size <= _LARGEST_FILM_BYTES and file.read(12)[4:8] == b"ftyp"
 

@@ -1,4 +1,4 @@
-"""A recorded run, made again from the same inputs and options, and how far the two results are from each other."""
+"""Repeat a recorded run from the same inputs and options, and compare the two results."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ _ENVIRONMENT = ("version.", "platform", "processor", "device")
 
 @dataclass(frozen=True)
 class Plan:
-    """A run that can be repeated: its inputs are all there.
+    """A run that can be repeated: all its inputs exist.
 
     Attributes:
         again: runs the command's chain and returns the content of its result.json.
-        out: a fresh folder, or one in which this repetition was interrupted.
-        results: sha256 of what the run made, by name.
-        changed: what computes otherwise than then, in words.
+        out: a new folder, or one in which this repetition was interrupted.
+        results: sha256 of the run's files, by name.
+        changed: differences in code and machine, one sentence each.
     """
 
     run: StoredRun
@@ -71,8 +71,8 @@ def plan_rerun(
 
     Args:
         words: a run's id, the beginning of it, or its result's folder.
-        inputs_folder: where to look for files that are no longer where they were; they are told by their content.
-        out: the folder of the repetition; a new one under runs/ when not given.
+        inputs_folder: where to look for files that were moved; they are recognised by their content.
+        out: the folder of the repetition; None for a new one under runs/.
         workers: processes that compute a clip; their number changes no digit.
         options: values that the record hides, since they held a secret.
 
@@ -105,7 +105,10 @@ def plan_rerun(
 
 
 def repeat(plan: Plan) -> dict[str, Any]:
-    """Run it again, and compare.
+    """Run the command's chain again, and compare.
+
+    Args:
+        plan: the run.
 
     Returns:
         the content of rerun.json.
@@ -124,7 +127,7 @@ def repeat(plan: Plan) -> dict[str, Any]:
 def _chain(
     recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, out: Path, workers: int
 ) -> Callable[[], dict[str, Any]]:
-    """The command's chain with its inputs where they lie now."""
+    """Return the command's chain with the current places of its inputs."""
     if recipe.command == "fit":
         inputs, settled = with_networks(recipe_inputs(Inputs, recipe, places, run), config, run)
         check_pictures_out([one.path for one in inputs.frames], out)
@@ -135,7 +138,13 @@ def _chain(
 
 
 def with_networks(inputs: InputsT, config: RunConfig, run: str) -> tuple[InputsT, RunConfig]:
-    """The same fetched pose networks as then; where there were none, `auto` meant the matte alone."""
+    """Return inputs and options with the run's pose networks; without any, `auto` meant the matte alone.
+
+    Args:
+        inputs: of the run.
+        config: all options.
+        run: its title, for messages.
+    """
     if config.init.method not in _FETCHED_NETWORKS or getattr(inputs, "first_bodies", None):
         return inputs, config
     if not inputs.networks and config.init.method == "auto":
@@ -153,7 +162,7 @@ def with_networks(inputs: InputsT, config: RunConfig, run: str) -> tuple[InputsT
 
 
 def _fresh(out: Path | None, run_id: str) -> Path:
-    """A folder without a result, for this repetition alone."""
+    """Return a folder without a result, for this repetition alone."""
     if out is not None:
         if not _is_fresh(out):
             raise InputError(f"{out} holds something already: choose a new folder with --out")
@@ -167,7 +176,7 @@ def _fresh(out: Path | None, run_id: str) -> Path:
 
 
 def _is_fresh(folder: Path) -> bool:
-    """Nothing there, or what an interrupted run leaves."""
+    """Return whether a folder is empty, or holds only what an interrupted run leaves."""
     if not folder.exists() or not folder.is_dir():
         return not folder.exists()
     return {path.name for path in folder.iterdir()} <= {INTERMEDIATE, *list_unfinished_files(folder)}
@@ -184,7 +193,7 @@ def _list_changes(run: StoredRun) -> tuple[str, ...]:
 
 
 def _compare(plan: Plan) -> dict[str, Any]:
-    """The result against the recorded one; how far it is from a motion that the store lost cannot be told."""
+    """Compare the result with the recorded one; distances are None where the store lost the motion."""
     made = {name: sha256_of(plan.out / name) if (plan.out / name).is_file() else None for name in plan.results}
     differing = sorted(name for name, sha256 in plan.results.items() if made[name] != sha256)
     bit_equal, mean_mm, max_mm = _difference(plan) if MOTION in differing else (True, 0.0, 0.0)
@@ -201,7 +210,7 @@ def _compare(plan: Plan) -> dict[str, Any]:
 
 
 def _difference(plan: Plan) -> tuple[bool, float | None, float | None]:
-    """Whether the arrays are the same after all (another packing of the file), and mean and largest distance [mm]."""
+    """Return whether all arrays are equal (files may be packed differently), and mean and largest distance [mm]."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             path = fetch_file(plan.run, MOTION, Path(folder))
@@ -214,7 +223,7 @@ def _difference(plan: Plan) -> tuple[bool, float | None, float | None]:
 
 
 def _record(verdict: dict[str, Any]) -> None:
-    """The verdict beside the repetition's own record; the result does not depend on it."""
+    """Add the verdict to the repetition's record; the result does not depend on it."""
     if verdict["mlflow_run_id"] is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""A prior from anybody's motion capture: read it, learn, measure on what was kept apart, record."""
+"""Train a prior from the user's motion capture: read, train, measure on held-out motions, record."""
 
 from __future__ import annotations
 
@@ -40,19 +40,27 @@ class TrainingPlan(Record):
 
 
 def work_folder(out: Path) -> Path:
-    """Where a training keeps what it needs to go on after an interruption."""
+    """Return the folder in which a training keeps its intermediate files.
+
+    Args:
+        out: the file of the weights.
+    """
     return out.with_name(f"{out.stem}-training")
 
 
 @flow(name="train-prior", persist_result=False, on_running=[mark_owner])
 def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
-    """Train a prior, publish its weights as ``out`` and what they are beside it as .json; recorded in MLflow.
+    """Train a prior, publish its weights as ``out`` with their description as .json; recorded in MLflow.
+
+    Args:
+        plan: recordings and options.
+        out: the file of the weights.
 
     Returns:
         the content of the .json, and where things are.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
     """
     if out.suffix != ".safetensors" or out.is_dir():
         raise InputError(f"{out}: a prior is one file; give --out a name that ends in .safetensors")
@@ -80,7 +88,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
 
 
 def _check_room(out: Path) -> None:
-    """Raises InputError where a file that no training left would be replaced."""
+    """Raise InputError if a file that no training wrote would be replaced."""
     about = out.with_suffix(".json")
     if there := [path for path in (out, about) if path.exists() and not work_folder(out).is_dir()]:
         with suppress(InputError, KeyError, TypeError):
@@ -91,7 +99,7 @@ def _check_room(out: Path) -> None:
 
 
 def _params(plan: TrainingPlan) -> dict[str, Any]:
-    """What the run is found by; where the recordings lie does not count, what they hold does."""
+    """Return the run's identity: the content of the recordings counts, their place does not."""
     other = "pose" if plan.kind == "motion" else "motion"
     return {**plan.model_dump(mode="json", exclude={other}), "motions": plan.motions.name}
 
@@ -99,7 +107,7 @@ def _params(plan: TrainingPlan) -> dict[str, Any]:
 def _about(
     plan: TrainingPlan, lessons: LessonsHandle, trained: TrainedHandle, measures: FileHandle, name: str
 ) -> dict[str, Any]:
-    """What a file of weights is: made how, from what, and what it knows."""
+    """Return the description of a file of weights: options, recordings and measurements."""
     history = json.loads(trained.history.path.read_text())
     return {
         "weights": name,

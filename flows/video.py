@@ -1,4 +1,4 @@
-"""A blurred video, or a folder of its frames, to one continuous motion."""
+"""Fit a blurred video, or a folder of its frames, to one continuous motion."""
 
 from __future__ import annotations
 
@@ -14,17 +14,9 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import RunConfig
 from hfb.fitting.confidence import radius_condition
-from hfb.flows.clip_steps import (
-    Fitted,
-    Scene,
-    draw,
-    find_first_bodies,
-    fit_windows,
-    join,
-    score,
-    see,
-    warn,
-)
+from hfb.fitting.front_choice import front_probability
+from hfb.flows.clip_scores import draw, score, warn
+from hfb.flows.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
 from hfb.flows.runtime.failures import ask_server, explain_failures
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
@@ -47,22 +39,22 @@ _SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0
 
 
 def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
-    """From a clip to one motion for all its frames; recorded in MLflow, published in ``out``.
+    """Fit a clip to one motion for all its frames; recorded in MLflow, published in ``out``.
 
-    One Prefect task per frame for its matte and its first body, one per window for its fit. Finished steps are kept in
-    ``out``: the same call goes on from them, after a kill too. The engine changes nothing but the seconds.
+    One task per frame for its matte and its first body, one per window for its fit. Finished steps are cached in
+    ``out``: the same call continues from them, also after a kill. The engine does not change the result.
 
     Args:
-        inputs: what the user handed over.
+        inputs: of the run.
         out: where the results go.
         config: all options.
-        engine: what computes.
+        engine: where computations run.
 
     Returns:
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
         InfrastructureError: the disk is full, or Prefect's server went away; what is finished is kept.
     """
     config = with_height(config, inputs.clip)
@@ -134,7 +126,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
 
 
 def _seen(bodies: ClipBodiesHandle, joined: JoinedHandle) -> dict[int, float]:
-    """Every frame of the clip: seen, filled in from its neighbours, or in a gap."""
+    """Return per frame of the clip whether it was seen (1), filled from its neighbours (0.5), or a gap (0)."""
     filled = {number for number, made in enumerate(bodies.filled) if made} | set(joined.bridged)
     pairs = enumerate(bodies.usable)
     return {number: _FILLED if number in filled else _SEEN if usable else _GAP for number, usable in pairs}
@@ -149,7 +141,7 @@ def _result(
     scores: Mapping[str, Mapping[int, float]],
     out: Path,
 ) -> dict[str, Any]:
-    """result.json: what came out, how good it is, where things are, and what they were made from."""
+    """Return result.json: scores, places of files, inputs and options."""
     footage = scene.footage
     return {
         "frames": footage.count,
@@ -158,6 +150,11 @@ def _result(
         "filled": sorted({number for number, filled in enumerate(bodies.filled) if filled} | set(joined.bridged)),
         "windows": len(fitted.windows),
         "resumed_frames": len(fitted.resumed),
+        "fronts": [
+            {"segment": segment, "probability": round(front_probability(odds), 4), "mirrored": odds < 0}
+            for segment, odds in sorted(fitted.fronts.items())
+            if odds != 0
+        ],
         **{name: _mean(values) for name, values in scores.items()},
         "confidence": radius_condition([first.source for first in bodies.firsts if first is not None]),
         "worst_jump_mm": joined.worst_jump_mm,
@@ -177,7 +174,7 @@ def _result(
 
 
 def _pairs(scores: Mapping[str, Mapping[int, float]]) -> dict[str, tuple[tuple[int, float], ...]]:
-    """The scores that are known, as they are written."""
+    """Return the known scores as (frame, value) pairs."""
     return {
         name: tuple((number, value) for number, value in sorted(values.items()) if math.isfinite(value))
         for name, values in scores.items()
@@ -191,7 +188,11 @@ def _mean(values: Mapping[int, float]) -> float | None:
 
 @contextmanager
 def clip_place(out: Path, engine: Engine | int) -> Iterator[Path]:
-    """The folder for intermediate files, held for this process alone, with the engine's workers at hand.
+    """Provide the folder of intermediate files inside the block, locked for this process, and the engine's workers.
+
+    Args:
+        out: where the results go.
+        engine: where computations run.
 
     Raises:
         InputError: see `hfb.flows.runtime.workspace.workspace` and `hfb.tasks.workers.workers.workers`.

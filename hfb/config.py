@@ -1,4 +1,4 @@
-"""Every option of a run, as frozen records: what is not written here cannot influence a result.
+"""Every option of a run, as frozen records; nothing else influences a result.
 
 Light to import (pydantic only): the command line builds its flags from these records.
 """
@@ -37,13 +37,13 @@ def current_option_name(name: str) -> str:
 
 
 def _in_order(schema: dict[str, Any]) -> None:
-    """Forms show a record's fields in the order in which they are written here, whatever a database makes of it."""
+    """Number a record's fields in the order of definition, in which forms show them."""
     for position, field in enumerate(schema.get("properties", {}).values()):
         field["position"] = position
 
 
 class Record(BaseModel):
-    """Frozen, and an unknown key is an error: a typo never passes silently."""
+    """A frozen record that refuses unknown keys, so that a typo is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", json_schema_extra=_in_order)
 
@@ -74,19 +74,19 @@ FocalPx = Annotated[float, Field(gt=0), within(1, 1e7)]
 
 
 class BodyConfig(Record):
-    """Which body model is fitted."""
+    """The body model."""
 
     model: Path | None = Field(None, description="a SMPL .npz or .pkl file; the embedded body when not given")
 
 
 class CameraConfig(Record):
-    """The pinhole camera; a calibration in clip.toml wins over the guess."""
+    """The pinhole camera; a calibration in clip.toml has priority over the guess."""
 
     focal_px: FocalPx | None = Field(None, description="focal length [px]; the picture's diagonal when not given")
 
 
 class ExposureConfig(Record):
-    """When light was collected. Seconds scale the result's times; ratios matter to the fit of several frames."""
+    """The exposure's timing. Seconds scale the result's times; ratios matter to the fit of several frames."""
 
     seconds: ExposureSeconds | None = Field(
         None, description="exposure time [s]; the whole frame interval when not given"
@@ -98,7 +98,7 @@ class ExposureConfig(Record):
 
 
 class MattingConfig(Record):
-    """How the person's share of each pixel is found."""
+    """The matting method."""
 
     method: Literal["network", "known-background", "bgmv2", "rvm"] = Field(
         "network",
@@ -136,7 +136,7 @@ class MattingConfig(Record):
 
 
 class InitConfig(Record):
-    """How the first, static body is found."""
+    """The initialisation."""
 
     method: Literal["auto", "mediapipe", "matte", "metro", "file"] = Field(
         "auto",
@@ -178,7 +178,7 @@ class Weights(Record):
 
 
 class Stage(Record):
-    """A stretch of iterations at one picture size."""
+    """A stretch of iterations at one image size."""
 
     size_px: int = Field(ge=16, description="longer side of the region of interest [px]")
     iterations: int = Field(ge=0)
@@ -229,6 +229,9 @@ class FitConfig(Record):
     )
     stages: tuple[Stage, ...] = (Stage(size_px=256, iterations=200),)
     directions: DirectionsConfig = DirectionsConfig()
+    both_fronts: bool = Field(
+        False, description="where it is doubtful which way the person faces, fit both and keep the likelier"
+    )
     matte_scales: int = Field(1, ge=1, le=8, description="scales at which mattes are compared, each half the last")
     image_scales: int = Field(1, ge=1, le=8, description="scales at which pictures are compared, each half the last")
     settle: int = Field(0, ge=0, description="iterations of the warm-up: the skeleton alone, towards predicted joints")
@@ -289,7 +292,7 @@ class FitConfig(Record):
 
 
 class PriorConfig(Record):
-    """Which poses count as likely."""
+    """The pose prior."""
 
     pose: Path | None = Field(
         None, description="SMPLify's GMM, a VPoser checkpoint or one of hfb train-prior; built in when not given"
@@ -301,7 +304,7 @@ class PriorConfig(Record):
 
 
 class VideoConfig(Record):
-    """A whole clip: how it is cut into windows that are fitted by themselves and joined."""
+    """The fit of a whole clip in windows that are joined."""
 
     window: int = Field(2, ge=2, le=5, description="frames fitted jointly; neighbouring windows share one")
     average: int = Field(1, ge=1, description="of footage that is sharp, average this many frames in linear light")
@@ -321,7 +324,7 @@ Film = Literal["slowmotion", "exact", "overlay"]
 
 
 def _words(value: Any) -> Any:
-    """``glb,bvh`` as a list of words; ``none`` is an empty one."""
+    """Split ``glb,bvh`` into a list of words; ``none`` is an empty one."""
     if not isinstance(value, str):
         return value
     return [] if value.strip() in ("", "none") else [word.strip() for word in value.split(",")]
@@ -335,7 +338,7 @@ AmassRate = Annotated[Literal[30, 60, 120], BeforeValidator(_number)]
 
 
 class ExportConfig(Record):
-    """What a run leaves for other programs, beside motion.npz."""
+    """Exported files for other programs, beside motion.npz."""
 
     formats: Annotated[tuple[MotionFormat, ...], BeforeValidator(_words)] = Field(
         ("amass", "glb", "bvh", "csv", "trc"),
@@ -350,7 +353,7 @@ class ExportConfig(Record):
 
 
 class RunConfig(Record):
-    """Everything one command needs besides its files."""
+    """All options of one command besides its files."""
 
     preset: Literal["paper", "best"] = Field("best", description="paper: the faithful method; best: what measured best")
     seed: int = Field(0, ge=0)
@@ -384,13 +387,14 @@ _BEST = FitConfig(
     stages=(
         Stage(size_px=64, iterations=60),
         Stage(size_px=128, iterations=50),
-        Stage(size_px=256, iterations=25),  # before each of these three the fit's own picture is looked at
+        Stage(size_px=256, iterations=25),  # before each of these three the evidence is refined
         Stage(size_px=256, iterations=25),
         Stage(size_px=256, iterations=50, cosine=True),
     ),
-    matte_scales=5,  # a limb beside its place has no edge in common with it: coarse pixels reach further
+    matte_scales=5,  # a displaced limb shares no edge with its image: coarse pixels reach further
     image_scales=3,
     directions=DirectionsConfig(search=True),
+    both_fronts=True,
     settle=80,
     lifting=0.75,
     xy_weight=0.2,
@@ -410,6 +414,6 @@ def preset(name: Literal["paper", "best"]) -> RunConfig:
     """Return all options of a preset: ``paper`` is the faithful method, ``best`` the one with the best results.
 
     Args:
-        name: of the preset.
+        name: name of the preset.
     """
     return RunConfig(preset=name, fit=_PAPER if name == "paper" else _BEST)

@@ -1,10 +1,13 @@
-"""Exceptions whose text is the sentence that a user reads; it names the fix."""
+"""Exceptions with a sentence for the user, which names the fix."""
 
 
 class InputError(ValueError):
-    """Something the user gave cannot be used; the command line prints the message and exits with 2.
+    """The user's input cannot be used; the command line prints the message and exits with 2.
 
-    Bytes of a file's name that are no text in UTF-8 are shown as escapes: the sentence can be written anywhere.
+    Bytes of a file's name that are not UTF-8 are shown as escapes, so that the sentence can be written anywhere.
+
+    Args:
+        sentence: problem and fix, for the user.
     """
 
     def __init__(self, sentence: str = "") -> None:
@@ -12,19 +15,19 @@ class InputError(ValueError):
 
 
 class TemporaryError(InputError):
-    """What is wrong lies beside what was given, and ends or is mended without another input: a cluster that is down."""
+    """Temporary failure unrelated to the input, such as a cluster that is down; retrying may succeed."""
 
 
 class Busy(TemporaryError):
-    """Another process works there: waiting mends it."""
+    """Another process holds the resource; waiting helps."""
 
 
 class InfrastructureError(Exception):
-    """Something that a run stands on gave out half-way: a disk, a server, memory.
+    """A disk, a server or memory failed during a run.
 
-    Its text names the fix. What is finished is kept, and the same command goes on from there.
+    Its text names the fix. Finished work is kept, and the same command resumes from there.
     """
 
 
 class ServerLost(InfrastructureError):
-    """The server that a run is told to no longer answers: nothing more can be reported to it."""
+    """The server that a run reports to no longer answers."""

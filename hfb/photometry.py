@@ -1,6 +1,6 @@
-"""sRGB and linear light, exactly as IEC 61966-2-1 has it.
+"""sRGB and linear light, by IEC 61966-2-1.
 
-A sensor averages linear light, picture files hold sRGB. Blurring sRGB values instead of light is off by up to
+A sensor averages linear light, image files hold sRGB. Blurring sRGB values instead of light is off by up to
 48/255, and an alpha of 0.5 then reads as 0.705.
 """
 
@@ -12,7 +12,7 @@ import torch
 from hfb.typing import Array, Float, Tensor
 
 Transfer = Literal["srgb", "linear", "bt709", "gamma22"]
-"""How files store light."""
+"""The transfer curve of stored values."""
 
 _ENCODED_KNEE = 0.04045
 _LINEAR_KNEE = 0.0031308

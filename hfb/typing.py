@@ -4,12 +4,12 @@
 letter  meaning
 ======  =====================================================
 B       clips (or shape samples)
-T       frames: pictures the camera took
+T       frames: images the camera took
 S       sub-frames: instants within one exposure
 J       joints (24 in the SMPL layout, the root first)
 V       vertices
 F       faces (triangles)
-H W     rows and columns of a picture
+H W     rows and columns of an image
 K       shape coefficients (betas)
 D       degree of the motion polynomials; D+1 coefficients
 ======  =====================================================

@@ -1,8 +1,7 @@
-"""One task over many inputs: in parallel, in order, and with a result of its own for every input.
+"""One task over many inputs: in parallel, in order, and with a cached result for every input.
 
-A run of a task costs Prefect's server 35 ms and 25 KB, whatever it does, so a run takes a chunk of calls. Each call
-keeps its result under the key that it would have alone: chunks change neither what is redone after a kill nor what
-depends on what.
+A run of a task costs Prefect's server 35 ms and 25 KB, whatever it does, so a run takes a chunk of calls. Each call's
+result is cached under its own key: chunks affect neither what is repeated after a kill nor what depends on what.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class Outcome(Generic[R]):
     Attributes:
         result: None where it failed.
         error: why it failed.
-        reused: whether an earlier run had made the result.
+        reused: whether the result comes from an earlier run.
     """
 
     result: R | None
@@ -53,14 +52,21 @@ class Outcome(Generic[R]):
 
 
 class Chunk(Generic[C, R]):
-    """Consecutive calls in one run of a task. No record, so that Prefect does not visit its content.
+    """Consecutive calls in one run of a task. It is no record, so that Prefect does not visit its content.
 
     Attributes:
-        calls: the calls.
+        calls: in order.
         results: one future per call, in their order; an error is the call's own.
     """
 
     def __init__(self, label: str, first: int, calls: Sequence[C]) -> None:
+        """Take consecutive calls.
+
+        Args:
+            label: beginning of the run's name.
+            first: number of the first call.
+            calls: in order.
+        """
         self.calls, self.results = calls, [Future[CachedResult[R]]() for _ in calls]
         last = first + len(calls) - 1
         self._name = f"{label} {first}" if last == first else f"{label} {first} to {last}"
@@ -70,10 +76,13 @@ class Chunk(Generic[C, R]):
         return self._name
 
     def run(self, task: Task[..., R]) -> bool:
-        """Make every result; return whether an earlier run had made them all.
+        """Compute every result; return whether earlier runs had computed them all.
+
+        Args:
+            task: of one record.
 
         Raises:
-            Exception: the first of those that calls ended with; the other results are made all the same.
+            Exception: the first error of a call; the other results are computed nevertheless.
         """
         ahead = _run_batched(task, self.calls)
         failed: Exception | None = None
@@ -88,7 +97,11 @@ class Chunk(Generic[C, R]):
         return all(result.result().reused for result in self.results)
 
     def fail(self, reason: BaseException) -> None:
-        """Fail all unfinished calls with `reason`."""
+        """Fail all unfinished calls.
+
+        Args:
+            reason: their exception.
+        """
         for result in self.results:
             if not result.done():
                 result.set_exception(reason)
@@ -108,9 +121,9 @@ def map_task(
     Args:
         task: a task of one record.
         calls: the records.
-        label: what a person reads while they run.
-        on_outcome: called with each outcome and its call's number, in the order of the calls; what it raises ends
-            the rest.
+        label: displayed while they run.
+        on_outcome: called with each outcome and its call's number, in the order of the calls; what it raises ends the
+            rest.
     """
     outcomes: list[Outcome[R]] = []
     waiting: deque[Chunk[C, R]] = deque()
@@ -160,14 +173,14 @@ def split_calls(label: str, calls: Sequence[C], n_workers: int, batch_size: int 
 
 
 def _batch_size(task: Task[..., R], calls: Sequence[Call]) -> int:
-    """How many calls are computed together; a cluster's worker is given one at a time."""
+    """Return how many calls are computed together; a cluster's worker gets one at a time."""
     return task.batch.size(calls[0]) if task.batch and calls and not remote() else 1
 
 
 def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
-    """Compute together the calls that no earlier run has made; return number of the call -> result, {} without several.
+    """Compute the calls without cached results together; return number of the call -> result, {} for fewer than two.
 
-    A call that fails takes none with it: each is then made by itself, and its error is its own.
+    If the batch fails, each call is computed alone, so that an error belongs to one call.
     """
     if _batch_size(task, calls) < 2:
         return {}
@@ -185,7 +198,7 @@ def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
 
 
 def _chunk_step(task: Task[..., R]) -> Any:
-    """A task of Prefect's that runs a chunk."""
+    """Return a Prefect task that runs a chunk."""
 
     def run_chunk(chunk: Chunk[Any, R]) -> State[Any] | None:
         return Completed(name="Cached") if chunk.run(task) else None
@@ -197,7 +210,7 @@ def _chunk_step(task: Task[..., R]) -> Any:
 
 
 def _submit(step: Any, chunk: Chunk[Any, Any]) -> None:
-    """Start a run; if it ends before its calls, as one does whose server went away, so have they."""
+    """Start a run; if it ends before its calls, such as after a loss of the server, they fail."""
 
     def ended(run: PrefectFuture[Any]) -> None:
         if all(one.done() for one in chunk.results):
@@ -221,7 +234,7 @@ def _outcome(result: Future[CachedResult[R]]) -> Outcome[R]:
 
 
 def _pace(began: float, done: int, reused: int, total: int) -> str:
-    """How fast it goes and how long it still takes."""
+    """Format the speed and the remaining time."""
     fresh = done - reused
     if fresh == 0:
         return ""

@@ -1,4 +1,4 @@
-"""Training a prior: recordings -> what is learned from -> weights -> what they know -> the record."""
+"""Training of a prior: recordings -> training data -> weights -> measurements -> the record."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ PARTS = ("trained", "held_out", "tested")
 Training = MotionTraining | PoseTraining
 
 _MEASURED_SHARE = 0.2
-"""Exposures to measure on, per second, over those to learn from: neighbouring ones hardly differ."""
+"""Exposures to measure on, per second, relative to those to train on: neighbouring ones hardly differ."""
 
 
 class LessonsHandle(FileHandle):
-    """Arrays to learn from and to measure on, one per part, and the names of the motions they came from.
+    """Arrays to train and to measure on, one per part, and the names of the motions they came from.
 
     Attributes:
         refused: name -> reason, for motions that cannot be read.
@@ -40,13 +40,13 @@ class LessonsHandle(FileHandle):
     refused: dict[str, str]
 
     def arrays(self) -> dict[str, Any]:
-        """``trained``, ``held_out`` and ``tested``; of exposures also how long they were."""
+        """Return ``trained``, ``held_out`` and ``tested``; of exposures also their lengths."""
         with np.load(self.path, allow_pickle=False) as file:
             return dict(file)
 
 
 class TrainedHandle(FileHandle):
-    """The weights of a prior, and how the training went (a JSON file of one value per epoch and loss)."""
+    """The weights of a prior, and the history of its training (a JSON file of one value per epoch and loss)."""
 
     history: FileHandle
     parameters: int
@@ -66,8 +66,13 @@ def gather(
     """Read a folder of recordings once.
 
     Args:
-        listing: what lies in the folder; with something else in it everything is read again.
-        tests, held_out: patterns of names that are set apart.
+        motions: the folder.
+        listing: names, sizes and times of its files; a change reads everything again.
+        spec: of the training.
+        tests: patterns of names that are only measured on at the end.
+        held_out: patterns of names that are measured on for choosing.
+        seed: of the random numbers.
+        folder: where the arrays go.
 
     Raises:
         InputError: no motion to learn from.
@@ -105,7 +110,14 @@ def gather(
 
 @task("training")
 def train(lessons: LessonsHandle, spec: Training, seed: int, folder: Path) -> TrainedHandle:
-    """Learn; leaves the weights and the losses by epoch."""
+    """Train; writes the weights and the losses per epoch.
+
+    Args:
+        lessons: training data.
+        spec: of the training.
+        seed: of the random numbers.
+        folder: where the weights go.
+    """
     began = time.perf_counter()
     arrays, path = lessons.arrays(), folder / f"{lessons.kind}_prior.safetensors"
     if isinstance(spec, MotionTraining):
@@ -121,7 +133,14 @@ def train(lessons: LessonsHandle, spec: Training, seed: int, folder: Path) -> Tr
 
 @task("measuring")
 def measure(lessons: LessonsHandle, trained: TrainedHandle, seed: int, folder: Path) -> FileHandle:
-    """What the weights, as they are in the file, know of the motions that were not learned from."""
+    """Measure the weights, as stored in the file, on motions that were not trained on.
+
+    Args:
+        lessons: data to measure on.
+        trained: the weights.
+        seed: of the random numbers.
+        folder: where the measurements go.
+    """
     arrays = lessons.arrays()
     measures: dict[str, Any] = {}
     for part in PARTS[1:] if lessons.kind == "motion" else PARTS:
@@ -140,7 +159,14 @@ def measure(lessons: LessonsHandle, trained: TrainedHandle, seed: int, folder: P
 def record_training(
     params: dict[str, Any], lessons: LessonsHandle, trained: TrainedHandle, measures: FileHandle, about: dict[str, Any]
 ) -> RunHandle:
-    """Losses by epoch, measures (those by exposure as steps, the shortest first), the weights and what they are.
+    """Record losses per epoch, measurements (those by exposure as steps, the shortest first), and the weights.
+
+    Args:
+        params: of the run.
+        lessons: training data.
+        trained: the weights.
+        measures: a JSON file.
+        about: description of the weights.
 
     Raises:
         tracking.StoreLost: the store cannot be reached.
@@ -206,7 +232,7 @@ def _measure_pose(path: Path, poses: np.ndarray) -> dict[str, Any]:
 
 
 def _metrics(measures: dict[str, Any]) -> dict[str, list[float | None]]:
-    """Measures by part as MLflow's metrics."""
+    """Return measurements by part as MLflow's metrics."""
     metrics: dict[str, list[float | None]] = {}
     for part, found in measures.items():
         metrics |= {f"{part}/{name}": [value] for name, value in found["all"].items()}

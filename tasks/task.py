@@ -1,13 +1,13 @@
-"""The project's own ``@task``: Prefect's, with a meaningful cache key, a place to run, and checked files.
+"""The project's ``@task``: Prefect's, with a cache key by content, a choice of process, and verified files.
 
-A task is a function of handles and options. `Task` keeps its result under task name + digests of the inputs + options
-+ version of the code. Prefect's own policies do not suffice: ``INPUTS`` hashes a path and not the file behind it,
-``TASK_SOURCE`` does not see an edit in a called library. A task therefore takes handles and the option records that
-matter to it, never the whole configuration; the folder it writes to does not count.
+A task is a function of handles and options. `Task` caches its result under the task's name and digests of inputs,
+options and code. Prefect's own policies do not suffice: ``INPUTS`` hashes a path and not the file behind it, and
+``TASK_SOURCE`` ignores edits in a called library. A task therefore takes handles and the option records that it uses,
+never the whole configuration; the folder it writes to does not count.
 
 Input files are verified before and after the function runs: a clip that is replaced while it is read leaves no result
-under the old one's key. Results are JSON, since a handle is a few lines. A cache hit alone does not notice that the
-file behind a handle is gone or damaged, so every result's files are verified, and a stale result is recreated.
+under the old one's key. Results are JSON, since a handle is a few lines. A cache hit does not prove that the file
+behind a handle is intact, so every result's files are verified, and a stale result is recreated.
 
 A task that runs ``"here"`` may print and log progress. Elsewhere the function itself is sent, by its name.
 """
@@ -39,8 +39,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 Where = Literal["here", "worker", "cluster", "gpu"]
-"""Which process runs a task: this one, a worker of this machine, a cluster's worker where there is one, or one of a
-cluster's workers that has a GPU of its own for the time. Where there are no workers, this process runs it."""
+"""Process that runs a task: this one, a worker of this machine, a cluster's worker, or one with a GPU of its own.
+
+Without a cluster a worker of this machine runs it, without workers this process.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class BatchFunction:
     """Several calls of a task as one computation, where that is faster than one after another.
 
     Attributes:
-        size: how many calls like this one are computed together; 1 where each is as fast by itself.
+        size: number of calls like this one that are computed together; 1 where batching does not help.
         run: returns the results of several calls, in their order.
     """
 
@@ -61,8 +63,8 @@ class CachedResult(Generic[R]):
     """The result of one call.
 
     Attributes:
-        result: what the task returned.
-        reused: whether an earlier run had made it.
+        result: as returned by the task.
+        reused: whether it comes from an earlier run.
     """
 
     result: R
@@ -74,8 +76,8 @@ class Task(Generic[P, R]):
 
     Attributes:
         fn: the bare function, which needs no server.
-        name: its name at Prefect's server and in cache keys.
         batch: how several calls are computed together, if at all.
+        name: at Prefect's server and in cache keys.
     """
 
     def __init__(
@@ -87,6 +89,15 @@ class Task(Generic[P, R]):
         cached: bool,
         batch: BatchFunction | None,
     ) -> None:
+        """Wrap a function; see `task`.
+
+        Args:
+            fn: the bare function.
+            label: displayed while it runs.
+            where: which process runs it.
+            cached: whether results are cached.
+            batch: how several calls are computed together.
+        """
         functools.update_wrapper(self, fn)
         self.fn, self.name, self.batch = fn, fn.__name__, batch
         self._label, self._where = label, where
@@ -95,11 +106,11 @@ class Task(Generic[P, R]):
         self._step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(run)
 
     def __reduce__(self) -> str:
-        """A worker process imports the task by its name, and calls `fn`."""
+        """Send the task by its name: a worker process imports it and calls `fn`."""
         return self.fn.__qualname__
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Run the task, or return the kept result of an earlier run with the same inputs, options and code."""
+        """Run the task, or return the cached result of an earlier run with the same inputs, options and code."""
         with progress.step(self._label) as shown:
             state = self._step(*args, **kwargs, return_state=True)
             result = state.result()
@@ -117,7 +128,7 @@ class Task(Generic[P, R]):
         """Run the function where it belongs, without Prefect.
 
         Raises:
-            StaleFile: an input file is not what its handle says, before or after.
+            StaleFile: an input file does not match its handle, before or after.
         """
         with verify_unchanged(args, tuple(kwargs.values())):  # a result is kept under the digests of its inputs
             where = self._where(*args, **kwargs) if callable(self._where) else self._where
@@ -128,21 +139,29 @@ class Task(Generic[P, R]):
             return run_remote(self, cast(Call, args[0]), gpu=where == "gpu")  # what leaves this machine is one record
 
     def run_batch(self, calls: Sequence[Any]) -> list[R]:
-        """Return the results of several calls, computed together on this machine; raises as `run` does."""
+        """Return the results of several calls, computed together on this machine; raises as `run` does.
+
+        Args:
+            calls: records of a mapped task.
+        """
         assert self.batch is not None
         with verify_unchanged(calls):
             return run_local(self.batch.run, calls)
 
     def key(self, call: Any) -> str:
-        """Return the cache key of a call of a mapped task."""
+        """Return the cache key of a call of a mapped task.
+
+        Args:
+            call: its one argument.
+        """
         return cache_key(self.name, self._arguments(call))
 
     def kept(self, call: Any, ahead: R | None = None) -> CachedResult[R]:
-        """Return a call's earlier result, or a new one, which is kept as Prefect keeps a run's.
+        """Return a call's cached result, or a new one, which is cached as Prefect caches a run's.
 
         Args:
             call: the one argument of a mapped task.
-            ahead: the call's result, where it has been made already.
+            ahead: the call's result, where it was computed in a batch.
         """
         key, records = self.key(call), get_result_store()
 
@@ -177,22 +196,31 @@ def task(
     """Make a module's function of handles and options a task.
 
     Args:
-        label: what a person reads while it runs.
-        where: which process runs it, or a function of the task's arguments that tells.
+        label: displayed while it runs.
+        where: which process runs it, or a function of the task's arguments that decides.
         cached: False for a task that exists for its effect elsewhere, such as a record in MLflow.
-        batch: how several calls are computed together; each result is the one that its call makes by itself.
+        batch: how several calls are computed together; each result equals that of the call alone.
     """
     return lambda fn: Task(fn, label, where=where, cached=cached, batch=batch)
 
 
 def cache_key(name: str, parameters: dict[str, Any]) -> str:
-    """Return the task's name and a hash of everything that can change its result; a repetition has keys of its own."""
+    """Return the task's name and a hash of everything that can change its result; a repetition has keys of its own.
+
+    Args:
+        name: of the task.
+        parameters: its arguments by name; paths do not count.
+    """
     inputs = {key: digest(value) for key, value in sorted(parameters.items()) if not isinstance(value, Path)}
     return f"hfb-{name}-{digest([name, inputs, code_version(), repetition.salt()])[:40]}"
 
 
 def verify(result: object) -> None:
-    """Raises StaleFile where a file that a result names is gone or no longer what it was."""
+    """Raise StaleFile if a file that a result names is missing or was changed.
+
+    Args:
+        result: handles, or anything without files.
+    """
     for file in files_in(result):
         file.verify()
 

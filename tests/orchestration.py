@@ -103,6 +103,7 @@ def made_once(name: str, make: Callable[[Path], None]) -> Path:
 
     Args:
         name: with the versions that it depends on.
+        make: writes the file.
     """
     try:
         _CACHE.mkdir(parents=True, exist_ok=True)

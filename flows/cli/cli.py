@@ -1,8 +1,8 @@
-"""The `hfb` command line: results on standard output, everything else on standard error.
+"""The `hfb` command line: results go to standard output, everything else to standard error.
 
-Exit codes: 0 done; 1 something unexpected (the log tells more), or a clip of a batch has no result; 2 something the
-user gave cannot be used; 3 a run was repeated and came out otherwise; 130 interrupted; 141 nobody reads the output.
-Nothing heavy is imported before it is known what is to be done.
+Exit codes: 0 success; 1 unexpected error (see the log), or a clip of a batch has no result; 2 unusable input; 3 a
+repeated run has a different result; 130 interrupted; 141 standard output was closed. Heavy modules are imported only
+once the command is known.
 """
 
 from __future__ import annotations
@@ -42,7 +42,11 @@ _last_resorts: list[threading.Timer] = []
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run one command; returns the exit code.
+
+    Args:
+        arguments: words of the command line; None for those of this process.
+    """
     words = sys.argv[1:] if arguments is None else arguments
     as_json = "--json" in words
     signal.signal(signal.SIGTERM, _end_orderly)
@@ -91,7 +95,14 @@ def _parse(words: list[str]) -> argparse.Namespace:
 
 
 class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are `InputError`."""
+
     def error(self, message: str) -> NoReturn:
+        """Raise InputError.
+
+        Args:
+            message: of argparse.
+        """
         raise InputError(f"{message}; see `{self.prog} --help`")
 
 
@@ -357,10 +368,10 @@ def _interrupt(_signum: int, _frame: object) -> NoReturn:
 
 
 def _end_at_last(code: int) -> None:
-    """End the process by and by, whatever it waits for.
+    """End the process after a while, whatever it waits for.
 
-    A signal that comes while a library takes a lock leaves it taken; tidying up, as Prefect does through the same
-    connection, then waits for it for ever.
+    A signal during a library's locking leaves the lock taken; Prefect's clean-up through the same connection would then
+    wait forever.
     """
 
     def end() -> None:

@@ -1,4 +1,4 @@
-"""The commands about clips: `hfb video`, `hfb batch`. Light to import."""
+"""The commands `hfb video` and `hfb batch`. Light to import."""
 
 from __future__ import annotations
 
@@ -41,7 +41,11 @@ _PLACES = (("strip", "strip"), ("report", "report"), ("result", "out"))
 
 
 def add_video_flags(parser: argparse.ArgumentParser) -> None:
-    """Which clip, and how it was taken."""
+    """Declare the options of `hfb video`.
+
+    Args:
+        parser: of the command.
+    """
     add = parser.add_argument
     add("source", type=Path, metavar="CLIP", help="a video, a folder of its frames, or a folder with a clip.toml")
     add(
@@ -57,7 +61,11 @@ def add_video_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_batch_flags(parser: argparse.ArgumentParser) -> None:
-    """Which folder, and how often."""
+    """Declare the options of `hfb batch`.
+
+    Args:
+        parser: of the command.
+    """
     add = parser.add_argument
     add("folder", type=Path, metavar="FOLDER", help="clips: NAME.mp4 with NAME.toml, folders NAME/ with a clip.toml")
     add("--attempts", type=positive, default=3, metavar="N", help="failures after which a clip is set aside [3]")
@@ -82,7 +90,11 @@ def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def video(given: argparse.Namespace) -> None:
-    """`hfb video`."""
+    """Run `hfb video`.
+
+    Args:
+        given: the parsed options.
+    """
     from hfb.tasks.inputs.video_inputs import take_video_inputs
 
     config, engine = run_config(given), engine_of(given.workers, given.store)
@@ -103,7 +115,11 @@ def video(given: argparse.Namespace) -> None:
 
 
 def batch(given: argparse.Namespace) -> int:
-    """`hfb batch`: 1 where a clip has no result, as for other failures."""
+    """Run `hfb batch`; returns 1 where a clip has no result, as for other failures.
+
+    Args:
+        given: the parsed options.
+    """
     from hfb.tasks.inputs.clip_places import find_clips
 
     config = run_config(given)
@@ -138,7 +154,10 @@ def batch(given: argparse.Namespace) -> int:
 
 
 def synth_clip(given: argparse.Namespace) -> None:
-    """`hfb synth clip`: a blurred clip of a built-in motion, its plate, clip.toml and truth, frame by frame.
+    """Run `hfb synth clip`: write a blurred clip of a built-in motion, its plate, clip.toml and truth.
+
+    Args:
+        given: the parsed options.
 
     Raises:
         InputError: an option is for the cases of a set.
@@ -164,7 +183,11 @@ def synth_clip(given: argparse.Namespace) -> None:
 
 
 def video_text(result: Mapping[str, Any]) -> str:
-    """The short table that ends a clip."""
+    """Return the table printed at the end of `hfb video`.
+
+    Args:
+        result: content of result.json.
+    """
     if result.get("people"):
         return _people_text(result)
     gaps = ", ".join(f"{first} to {last}" for first, last in result["gaps"]) or "none"
@@ -184,7 +207,7 @@ def video_text(result: Mapping[str, Any]) -> str:
 
 
 def _people_text(result: Mapping[str, Any]) -> str:
-    """A line per person."""
+    """Return a line per person."""
     lines = [""]
     for one in result["people"]:
         told = one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {_shown(one['matte_iou'], '.3f')}"
@@ -193,7 +216,11 @@ def _people_text(result: Mapping[str, Any]) -> str:
 
 
 def batch_text(result: Mapping[str, Any]) -> str:
-    """What became of a folder."""
+    """Return the lines printed at the end of `hfb batch`.
+
+    Args:
+        result: number of clips in each state, and the page.
+    """
     counts = f"{result['done']} of {result['clips']} clips done, {result['set_aside']} set aside"
     return f"\n{counts}\npage     {result['page']}\nresult   {result['out']}"
 

@@ -1,4 +1,4 @@
-"""The commands that judge: `hfb synth`, `hfb benchmark`, `hfb reproduce`. Light to import."""
+"""The commands `hfb synth`, `hfb benchmark` and `hfb reproduce`. Light to import."""
 
 from __future__ import annotations
 
@@ -27,7 +27,12 @@ _DEFAULT_COUNT = 20
 
 
 def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_COUNT) -> None:
-    """What a set is made from. A folder that is not given is replaced by what hfb makes itself."""
+    """Declare what a set is made from; hfb's own data replace folders that are not given.
+
+    Args:
+        parser: of the command.
+        count: default number of cases; None for the experiment's.
+    """
     add = parser.add_argument
     shown = "as in the experiment's file" if count is None else str(count)
     add("--count", type=positive, default=count, metavar="N", help=f"how many cases [{shown}]")
@@ -57,7 +62,11 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
 
 
 def add_worker_flags(parser: argparse.ArgumentParser) -> None:
-    """Who computes."""
+    """Declare where computations run.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument(
         "--workers",
         default=str(cores()),
@@ -72,11 +81,11 @@ def add_worker_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> None:
-    """What runs on the set.
+    """Declare the methods and their starts.
 
     Args:
-        parser: gets the flags.
-        of_set: the default methods depend on the set; False: an experiment's file names them.
+        parser: of the command.
+        of_set: the default methods are those of the set; False: those of the experiment.
     """
     known = "; ".join(f"{name}: {what}" for name, what in METHOD_NAMES.items()).replace("%", "%%")
     shown = f"{_DEFAULT_METHODS}; real: {_REAL_METHODS}" if of_set else "as in the experiment's file"
@@ -91,7 +100,11 @@ def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> No
 
 
 def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
-    """The set that the flags describe.
+    """Return the set that the options describe.
+
+    Args:
+        given: the parsed options.
+        frames: blurred frames per case.
 
     Raises:
         InputError: a set of real video without videos, or a number that no set takes.
@@ -109,7 +122,11 @@ def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
 
 
 def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
-    """The methods of a comma-separated list, each once.
+    """Parse a comma-separated list of methods, each once.
+
+    Args:
+        text: the list.
+        chains: a file of deblur-then-estimate chains; None for none.
 
     Raises:
         InputError: an unknown name; the sentence lists the known ones.
@@ -121,7 +138,10 @@ def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
 
 
 def methods_of(given: argparse.Namespace) -> tuple[MethodSpec, ...]:
-    """The methods that the flags name, or those that suit the set.
+    """Return the methods that the options name, or those of the set.
+
+    Args:
+        given: the parsed options.
 
     Raises:
         InputError: an unknown name; the sentence lists the known ones.
@@ -131,7 +151,12 @@ def methods_of(given: argparse.Namespace) -> tuple[MethodSpec, ...]:
 
 
 def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
-    """Everything that decides a benchmark's figures, from its flags."""
+    """Return everything that decides a benchmark's figures.
+
+    Args:
+        given: the parsed options.
+        frames: blurred frames per case.
+    """
     from hfb.flows.benchmark import BenchmarkPlan
 
     start = given.start or ("estimated" if given.set in _REAL else "simulated")
@@ -146,7 +171,11 @@ def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
 
 
 def benchmark_text(result: Mapping[str, Any]) -> str:
-    """The short table that ends a benchmark."""
+    """Return the table printed at the end of a benchmark.
+
+    Args:
+        result: content of result.json.
+    """
     lines = ["", f"{'method':<24}{'n':>5}{'start':>9}{'fitted':>9}{'ratio':>8}   {'95 %':<14}{'IoU':>6}{'better':>8}"]
     for name, cells in result["methods"].items():
         cell = cells["all"]
@@ -166,12 +195,16 @@ def benchmark_text(result: Mapping[str, Any]) -> str:
 
 
 def positive(text: str) -> int:
-    """A flag's whole number, 1 or more."""
+    """Parse an option that is a whole number of 1 or more.
+
+    Args:
+        text: as typed.
+    """
     return _at_least(text, 1)
 
 
 def _averages(text: str) -> tuple[int, ...]:
-    """Whole numbers, 1 or more, with commas between them."""
+    """Parse whole numbers, 1 or more, separated by commas."""
     return tuple(positive(one) for one in text.split(",") if one.strip()) or (positive(text),)
 
 
@@ -190,5 +223,5 @@ def _at_least(text: str, least: int) -> int:
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""The commands about what is at hand: `hfb models`, `hfb runs`. Light to import."""
+"""The commands `hfb models` and `hfb runs`. Light to import."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from hfb.flows.runtime import summary
 
 
 def add_models_flags(parser: argparse.ArgumentParser) -> None:
-    """List or fetch, and from where."""
+    """Declare the options of `hfb models`.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
     parser.add_argument(
         "--from",
@@ -28,7 +32,11 @@ def add_models_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def models(given: argparse.Namespace) -> None:
-    """`hfb models`: networks and files that can be used; fetch the rest."""
+    """Run `hfb models`: list usable networks and files, or fetch missing ones.
+
+    Args:
+        given: the parsed options.
+    """
     from hfb.networks.fetch import fetch_networks
     from hfb.networks.mediapipe_files import list_networks
     from hfb.networks.registry import list_models
@@ -53,7 +61,11 @@ def models(given: argparse.Namespace) -> None:
 
 
 def runs(given: argparse.Namespace) -> None:
-    """`hfb runs`: this process becomes the server of MLflow's pages."""
+    """Run `hfb runs`: this process becomes the server of MLflow's pages.
+
+    Args:
+        given: the parsed options.
+    """
     from hfb.tasks.tracking.store_place import SMALL_SERVER, pages_command
 
     command = pages_command(given.port)

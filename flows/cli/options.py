@@ -1,7 +1,7 @@
-"""Options of a run from four places: flag over --config file over preset over default.
+"""Options of a run from four sources: flag over --config file over preset over default.
 
-The flags are made from the records in hfb/config.py, one per key (``--fit.subframes 8``). argparse, since it
-costs nothing to import: `hfb --help` has to answer at once.
+The flags are made from the records in hfb/config.py, one per key (``--fit.subframes 8``). argparse, since it costs
+nothing to import: `hfb --help` has to answer at once.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ _NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": ("metro",)}
 
 
 def add_config_flags(parser: argparse.ArgumentParser) -> None:
-    """One flag per key of the configuration; nothing is set unless the user gives it."""
+    """Declare one flag per key of the configuration; only flags that the user gives are set.
+
+    Args:
+        parser: of the command.
+    """
     group = parser.add_argument_group(
         "options of the method", f"defaults are those of --preset {_DEFAULT_PRESET}; a flag wins over --config"
     )
@@ -59,7 +63,7 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
 
 
 class _EarlierName(argparse.Action):
-    """Sets the key that an earlier name of a flag stands for, and says what it is called now."""
+    """Sets the key of a renamed flag, with a warning that gives the new name."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -70,7 +74,7 @@ class _EarlierName(argparse.Action):
 
 
 def _add_short_flags(group: argparse._ArgumentGroup) -> None:
-    """What most people say about both ends: `--init`, `--matting`, and the files of their networks."""
+    """Declare short flags for both ends: `--init`, `--matting`, and the files of their networks."""
     short: tuple[tuple[str, str, str], ...] = (
         ("init", "FILE|auto|mediapipe|matte|metro", "another system's result, or how to find a first body"),
         ("init-weights", "FILE", "as --init.weights"),
@@ -88,7 +92,7 @@ def _add_short_flags(group: argparse._ArgumentGroup) -> None:
 
 
 class _Short(argparse.Action):
-    """Sets the key that a short flag stands for."""
+    """Sets the key of a short flag."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -101,7 +105,10 @@ class _Short(argparse.Action):
 
 
 def run_config(given: argparse.Namespace) -> RunConfig:
-    """The configuration that flags, --config file and preset make together.
+    """Return the configuration from flags, --config file and preset.
+
+    Args:
+        given: the parsed options.
 
     Raises:
         InputError: an unknown key or an impossible value, named with where it came from.
@@ -118,15 +125,15 @@ def run_config(given: argparse.Namespace) -> RunConfig:
 
 
 def _checked(content: dict[str, Any], source: str) -> dict[str, Any]:
-    """What was given, by the options' present names; raises InputError where it is impossible."""
+    """Return the content with current option names; raises InputError where it is impossible."""
     return to_record(RunConfig, content, source).model_dump(exclude_unset=True)
 
 
 def _room_of_weights(chosen: Mapping[str, Any]) -> str:
-    """Whose file --weights is.
+    """Return which part of the configuration --weights belongs to.
 
     Raises:
-        InputError: nobody's, or of both ends.
+        InputError: no method uses it, or both do.
     """
     methods = {room: chosen.get(room, {}).get("method") for room in _NEED_WEIGHTS}
     rooms = [room for room, method in methods.items() if method in _NEED_WEIGHTS[room]]
@@ -178,7 +185,7 @@ def _nest(flags: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _parse(key: str, text: str) -> Any:
-    """Numbers and names are pydantic's to read; a list of records, such as fit.stages, comes as JSON."""
+    """Parse a flag's text: pydantic reads numbers and names; a list of records, such as fit.stages, is JSON."""
     if not text.startswith(("[", "{")):
         return text
     try:

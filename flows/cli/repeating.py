@@ -1,4 +1,4 @@
-"""The commands about recorded runs: `hfb rerun`, `hfb compare`. Light to import."""
+"""The commands `hfb rerun` and `hfb compare`. Light to import."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hfb.flows.runtime.session import Chain, libraries, open_session, tell, thro
 from hfb.flows.runtime.summary import number_text
 
 DIFFERS = 3
-"""Exit code: the run was repeated and came out otherwise."""
+"""Exit code: the repeated run has a different result."""
 
 _RUN = "a run's id, the beginning of it, or the folder of its result"
 _SHOWN_OPTIONS = 30
@@ -22,7 +22,11 @@ _WIDTH, _NARROWEST, _WIDEST = 34, 14, 60
 
 
 def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
-    """Which run, and where its inputs are."""
+    """Declare the options of `hfb rerun`.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument("run_id", metavar="RUN_ID", help=_RUN)
     parser.add_argument(
         "--inputs", type=Path, metavar="DIR", help="where inputs lie that were moved; they are told by their content"
@@ -40,14 +44,22 @@ def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_compare_flags(parser: argparse.ArgumentParser) -> None:
-    """Which runs."""
+    """Declare the options of `hfb compare`.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument("run_a", metavar="RUN_A", help=_RUN)
     parser.add_argument("run_b", metavar="RUN_B", help="another one")
     parser.add_argument("more", nargs="*", metavar="RUN_C", help="and others")
 
 
 def rerun(given: argparse.Namespace) -> int:
-    """`hfb rerun`; returns the exit code."""
+    """Run `hfb rerun`; returns the exit code.
+
+    Args:
+        given: the parsed options.
+    """
     if given.seed is not None:
         raise InputError("a repetition keeps its run's seed: leave --seed out")
     options = _named(given.option)
@@ -64,7 +76,7 @@ def rerun(given: argparse.Namespace) -> int:
 
 
 def _named(options: Sequence[str]) -> dict[str, str]:
-    """NAME=VALUE as a mapping; names also as flags write them."""
+    """Parse NAME=VALUE into a mapping; names may also be written as flags."""
     for option in options:
         if not option.partition("=")[1]:
             raise InputError("--option takes NAME=VALUE, as in --option init.person=VALUE")
@@ -73,7 +85,11 @@ def _named(options: Sequence[str]) -> dict[str, str]:
 
 
 def compare(given: argparse.Namespace) -> None:
-    """`hfb compare`."""
+    """Run `hfb compare`.
+
+    Args:
+        given: the parsed options.
+    """
     with open_session(given, given.out or Path("runs")):
         with libraries():
             from hfb.flows.compare import compare_runs
@@ -82,7 +98,11 @@ def compare(given: argparse.Namespace) -> None:
 
 
 def rerun_text(verdict: Mapping[str, Any]) -> str:
-    """What came out of a repetition, in a sentence or two."""
+    """Return the lines printed at the end of `hfb rerun`.
+
+    Args:
+        verdict: content of rerun.json.
+    """
     lines = ["", _sentence(verdict)]
     if verdict["changed"]:
         lines.append("not as it was then: " + "; ".join(verdict["changed"]))
@@ -93,7 +113,11 @@ def rerun_text(verdict: Mapping[str, Any]) -> str:
 
 
 def compare_text(comparison: Mapping[str, Any]) -> str:
-    """The short tables that end a comparison."""
+    """Return the tables printed at the end of `hfb compare`.
+
+    Args:
+        comparison: content of comparison.json.
+    """
     width = max(_NARROWEST, _WIDEST // len(comparison["names"]))
     lines = ["", *comparison["sentences"], "", _row("", comparison["names"], width)]
     for title, entry in (("options", "config"), ("machine and versions", "environment")):
@@ -111,7 +135,7 @@ def compare_text(comparison: Mapping[str, Any]) -> str:
 
 
 def _values(row: Mapping[str, Any]) -> list[Any]:
-    """What every run says."""
+    """Return the values of all runs."""
     return [row["a"], row["b"], *row.get("more", [])]
 
 

@@ -1,4 +1,4 @@
-"""The commands about a finished result: `hfb export`, `hfb report`, `hfb record`. Light to import."""
+"""The commands on a finished result: `hfb export`, `hfb report`, `hfb record`. Light to import."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ _RATE = ExportConfig().amass_rate
 
 
 def add_export_flags(parser: argparse.ArgumentParser) -> None:
-    """Which result, and what for."""
+    """Declare the options of `hfb export`.
+
+    Args:
+        parser: of the command.
+    """
     shown = ",".join(ExportConfig().formats)
     add = parser.add_argument
     add("source", metavar="RESULT", help="a result's folder, a motion.npz, or the id of a recorded run")
@@ -30,7 +34,11 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def export(given: argparse.Namespace) -> None:
-    """Run `hfb export`."""
+    """Run `hfb export`.
+
+    Args:
+        given: the parsed options.
+    """
     films = parse_films(given.films)
     formats, meshes = parse_formats(given.formats) if given.formats or not films else ((), ())
     with open_session(given, given.out or output_folder_of(given.source), recorded=False):
@@ -44,7 +52,10 @@ def export(given: argparse.Namespace) -> None:
 
 
 def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...]]:
-    """(motion files, meshes) that a list of names asks for.
+    """Parse a list of formats into (motion files, meshes).
+
+    Args:
+        words: comma-separated names; None for the defaults.
 
     Raises:
         InputError: a name is none of them, or there is none.
@@ -57,12 +68,16 @@ def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[Me
 
 
 def parse_films(words: str | None) -> tuple[Film, ...]:
-    """The films that a list of names asks for, each once. Raises InputError where a name is none."""
+    """Parse a list of films, each once. Raises InputError for an unknown name.
+
+    Args:
+        words: comma-separated names; None for no films.
+    """
     return () if words is None else tuple(cast(Film, name) for name in _known(words, _FILMS, "film"))
 
 
 def _known(words: str, names: Sequence[str], what: str) -> tuple[str, ...]:
-    """The names of a list that is divided by commas, each once.
+    """Parse comma-separated names, each once.
 
     Raises:
         InputError: one of them is unknown, or there is none.
@@ -75,7 +90,11 @@ def _known(words: str, names: Sequence[str], what: str) -> tuple[str, ...]:
 
 
 def export_text(result: Mapping[str, Any]) -> str:
-    """What was written, in a few lines."""
+    """Return the lines printed at the end of `hfb export`.
+
+    Args:
+        result: as `hfb.flows.export.export_result` returns it.
+    """
     lines = ["", *(f"{name:<14}{size / 1e6:8.2f} MB" for name, size in result["files"].items())]
     if result["meshes"]:
         lines.append(f"{'meshes/':<14}{result['meshes']:8} files")
@@ -83,7 +102,11 @@ def export_text(result: Mapping[str, Any]) -> str:
 
 
 def add_report_flags(parser: argparse.ArgumentParser) -> None:
-    """Which result."""
+    """Declare the options of `hfb report`.
+
+    Args:
+        parser: of the command.
+    """
     add = parser.add_argument
     add("source", metavar="RESULT", help="a result's folder, or the id of a recorded run")
     add("--inputs", type=Path, metavar="DIR", help="where the pictures lie, for the film, if they were moved")
@@ -91,7 +114,11 @@ def add_report_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def report_result(given: argparse.Namespace) -> None:
-    """Run `hfb report`."""
+    """Run `hfb report`.
+
+    Args:
+        given: the parsed options.
+    """
     with open_session(given, given.out or output_folder_of(given.source), recorded=False):
         with libraries():
             from hfb.flows.report import make_report
@@ -100,19 +127,31 @@ def report_result(given: argparse.Namespace) -> None:
 
 
 def report_text(result: Mapping[str, Any]) -> str:
-    """Where the page is, and what it lacks."""
+    """Return the line printed at the end of `hfb report`.
+
+    Args:
+        result: as `hfb.flows.report.make_report` returns it.
+    """
     size = f"{result['bytes'] / 1e6:.1f} MB"
     lacks = [f"without {name}" for name in ("film", "surface") if not result[name]]
     return f"report   {result['report']}  ({', '.join([size, *lacks])})"
 
 
 def add_record_flags(parser: argparse.ArgumentParser) -> None:
-    """Which result."""
+    """Declare the options of `hfb record`.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument("source", type=Path, metavar="RESULT", help="the folder of a finished result")
 
 
 def record_result(given: argparse.Namespace) -> None:
-    """Run `hfb record`."""
+    """Run `hfb record`.
+
+    Args:
+        given: the parsed options.
+    """
     with open_session(given, given.source):
         with libraries():
             from hfb.flows.record import record_folder
@@ -124,7 +163,11 @@ def record_result(given: argparse.Namespace) -> None:
 
 
 def record_text(result: Mapping[str, Any]) -> str:
-    """What became of each run."""
+    """Return the lines printed at the end of `hfb record`.
+
+    Args:
+        result: as `hfb.flows.record.record_folder` returns it.
+    """
     return "\n".join(
         f"{'recorded' if one['new'] else 'recorded already'}  {one['out']}\nMLflow    {one['mlflow_link']}"
         for one in result["runs"]

@@ -1,4 +1,4 @@
-"""The commands that train: `hfb train NAME` and `hfb train-prior`. Light to import."""
+"""The commands `hfb train NAME` and `hfb train-prior`. Light to import."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ DEFAULT_OUT = {"motion": Path("runs/motion_prior.safetensors"), "pose": Path("ru
 
 
 def add_training_flags(parser: argparse.ArgumentParser) -> None:
-    """What is learned, from what, for how long."""
+    """Declare the options of `hfb train-prior`.
+
+    Args:
+        parser: of the command.
+    """
     add = parser.add_argument
     epochs = f"{MotionTraining().epochs}; of a pose prior {PoseTraining().epochs} at most"
     add(
@@ -48,7 +52,11 @@ def add_training_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_program_flags(parser: argparse.ArgumentParser) -> None:
-    """Which program runs; its own options follow its name."""
+    """Declare the program of `hfb train`; its own options follow its name.
+
+    Args:
+        parser: of the command.
+    """
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     listed = {name: entry.summary for name, entry in PROGRAMS.items()} | PRIORS
     parser.epilog = "\n".join(["programs:", *(f"  {name:<16} {summary}" for name, summary in listed.items())])
@@ -57,7 +65,11 @@ def add_program_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run_program(given: argparse.Namespace) -> None:
-    """Run a program of `hfb.training` with its own options."""
+    """Run a program of `hfb.training` with its own options.
+
+    Args:
+        given: the parsed options.
+    """
     program = PROGRAMS[given.name].load()
     summary = PROGRAMS[given.name].summary
     parser = type(given.command)(f"hfb train {given.name}", description=summary, allow_abbrev=False)
@@ -66,7 +78,10 @@ def run_program(given: argparse.Namespace) -> None:
 
 
 def plan_of(given: argparse.Namespace) -> TrainingPlan:
-    """The plan that the flags describe.
+    """Return the plan that the options describe.
+
+    Args:
+        given: the parsed options.
 
     Raises:
         InputError: a number that no training takes.
@@ -81,7 +96,11 @@ def plan_of(given: argparse.Namespace) -> TrainingPlan:
 
 
 def training_text(result: Mapping[str, Any]) -> str:
-    """The few lines that end a training."""
+    """Return the lines printed at the end of a training.
+
+    Args:
+        result: as `hfb.flows.train_prior.train_prior` returns it.
+    """
     data = result["data"]
     counts = ", ".join(f"{len(data[part])} {words}" for part, words in _PARTS.items() if data[part])
     lines = ["", f"motions  {counts}" + (f" ({len(data['refused'])} left out)" if data["refused"] else "")]

@@ -1,7 +1,7 @@
 """Start the flow of one flow run if its deployment is one of infra/prefect.yaml. Run as a program in containers.
 
-A deployment's row at the server may name any entrypoint, and steps that are run before it. Here the row only chooses
-among our own flows: nothing that it holds is imported or run, neither to start a flow nor for its hooks.
+A deployment's row at the server may name any entrypoint, and steps to run before it. Here the row only selects one of
+our own flows: nothing that it holds is imported or run, neither to start a flow nor for its hooks.
 """
 
 from __future__ import annotations
@@ -32,11 +32,15 @@ _ENGINE = command_to_string([sys.executable, "-P", "-m", "prefect.engine"])  # -
 
 
 class NotOurs(RuntimeError):
-    """A flow run that is not of a deployment of ours."""
+    """A flow run whose deployment is not hfb's."""
 
 
 async def entrypoint_of(flow_run: FlowRun, client: PrefectClient) -> str:
-    """The flow of ours that a flow run is of.
+    """Return the entrypoint of a flow run, one of hfb's.
+
+    Args:
+        flow_run: the run.
+        client: of Prefect's server.
 
     Raises:
         NotOurs: it has no deployment, or one with other code or steps of its own.
@@ -61,13 +65,13 @@ async def supervise(
     environment: Mapping[str, str | None],
     task_status: TaskStatus[int] = TASK_STATUS_IGNORED,
 ) -> tuple[int, str]:
-    """Run a flow in a process of its own until it ends or is cancelled; its exit code and process id.
+    """Run a flow in its own process until it ends or is cancelled; returns exit code and process id.
 
     Args:
         flow_run: the run.
         entrypoint: its flow.
         environment: further variables of its process.
-        task_status: is told the process id.
+        task_status: receives the process id.
     """
     async with FlowRunExecutorContext() as context:
         with TemporaryDirectory(prefix="hfb-run-", ignore_cleanup_errors=True) as folder:
@@ -95,13 +99,23 @@ def _process_id(task_status: TaskStatus[int]) -> Any:
 
 
 class _NoHooks:
-    """Our flows have no hooks for crashes and cancellations: what a row at the server says of them is not looked at."""
+    """No hooks for crashes and cancellations: those in a server's row are ignored."""
 
     async def run_cancellation_hooks(self, flow_run: FlowRun, state: State[Any]) -> None:
-        """None."""
+        """Do nothing.
+
+        Args:
+            flow_run: the run.
+            state: of the run.
+        """
 
     async def run_crashed_hooks(self, flow_run: FlowRun, state: State[Any]) -> None:
-        """None."""
+        """Do nothing.
+
+        Args:
+            flow_run: the run.
+            state: of the run.
+        """
 
 
 async def _in_a_container() -> int:

@@ -1,4 +1,4 @@
-"""What can give out under a long run, in one sentence that names the fix."""
+"""Failures of a run's surroundings, each reported as one sentence that names the fix."""
 
 from __future__ import annotations
 
@@ -28,9 +28,13 @@ _PATIENCE_S = (3.0, 10.0, 30.0)  # a busy server may take its time
 
 @contextmanager
 def explain_failures(out: Path) -> Iterator[None]:
-    """Turn a failure of what is around a run into `InfrastructureError`; other exceptions pass.
+    """Turn failures of disk, server and store inside the block into `InfrastructureError`; other exceptions pass.
 
-    Prefect, told to end while it writes down a task's state, may fail by itself: that is an end still, no clip's fault.
+    Prefect may fail when it is stopped while it writes a task's state: this is reported as the end of the command, not
+    as a failure of the clip.
+
+    Args:
+        out: where the results go.
     """
     try:
         yield
@@ -48,29 +52,29 @@ def explain_failures(out: Path) -> Iterator[None]:
 
 
 class ServerWatch:
-    """Asks now and then whether Prefect's server is still there.
+    """Checks periodically whether Prefect's server still answers.
 
-    Tasks would run on without it, each report tried again for seconds, and the end of the flow could not be told.
+    Tasks would go on without it, each report retried for seconds, and the end of the flow could not be reported.
     """
 
     def __init__(self) -> None:
         self._asked = time.monotonic()
 
     def look(self) -> None:
-        """Raises ServerLost where the server has gone; asks every few seconds at most."""
+        """Raise ServerLost if the server has gone; asks at most every few seconds."""
         if time.monotonic() - self._asked >= _ASK_EVERY_S:
             ask_server()
             self._asked = time.monotonic()
 
 
 def ask_server() -> None:
-    """Raises ServerLost where Prefect's server has gone."""
+    """Raise ServerLost if Prefect's server has gone."""
     if all(does_not_answer(str(PREFECT_API_URL.value()), patience_s) for patience_s in _PATIENCE_S):
         raise _server_lost()
 
 
 def _end(cause: BaseException) -> BaseException | None:
-    """As a command ends that was told to, if that is what it was."""
+    """Return the exception that ends a command after a signal, if a signal is the cause."""
     if isinstance(cause, TerminationSignal):
         return SystemExit(128 + cause.signal)
     return type(cause)(*cause.args) if isinstance(cause, KeyboardInterrupt | SystemExit) else None
@@ -85,7 +89,7 @@ def _server() -> str:
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:
-    """An exception and what led to it, each once."""
+    """Yield an exception and its causes, each once."""
     seen: set[int] = set()
     current: BaseException | None = error
     while current is not None and id(current) not in seen:

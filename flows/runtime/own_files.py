@@ -1,4 +1,4 @@
-"""Files of hfb in a folder that holds no result: a record names them, and what it does not name is never replaced."""
+"""Files of hfb in a folder without a result: a record names them, and other files are never replaced."""
 
 from __future__ import annotations
 
@@ -19,12 +19,16 @@ _LIMIT_BYTES = 1 << 20
 
 @contextmanager
 def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
-    """A temporary folder for files of these names, which are put into ``out`` at the end.
+    """Provide a temporary folder inside the block, whose files are moved into ``out`` at its end.
 
-    The record is written first, so that files which a killed command left are known as well.
+    The record is written first, so that files of a killed command are known as well.
+
+    Args:
+        out: the folder.
+        names: of the files.
 
     Raises:
-        TemporaryError: under one of the names lies something that hfb did not write, or that was changed since.
+        TemporaryError: a file of one of the names was not written by hfb, or was changed since.
     """
     _check_room(out, names)
     with tempfile.TemporaryDirectory() as folder:
@@ -41,7 +45,7 @@ def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
 
 def _check_room(out: Path, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """The record of a folder, beside which nobody else's file is in the way."""
+    """Return the record of a folder; raises where a foreign file is in the way."""
     check_ordinary(out, OWN_FILES)
     for name in names:
         check_ordinary(out, name)
@@ -57,7 +61,7 @@ def _check_room(out: Path, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def _read(out: Path) -> dict[str, tuple[str, ...]]:
-    """Name -> sha256 of what hfb wrote under it; several where a command was killed while it replaced the file."""
+    """Return name -> sha256 of hfb's files; several where a command was killed while it replaced one."""
     try:
         content = json.loads(read_file(out, OWN_FILES, limit=_LIMIT_BYTES))
         return {str(name): tuple(map(str, several)) for name, several in content["sha256"].items()}

@@ -1,8 +1,8 @@
-"""Where the parameters of a deployment may point: whoever starts a run by a form is no user of the worker's machine.
+"""Places that the parameters of a deployment may name: users of its form are no users of the worker's machine.
 
 Files lie below HFB_DATA [/data] of the worker. HFB_ALLOWED, a list separated by commas, adds what an administrator
 allows besides: folders or files, and addresses such as dask:tcp://host:8786 or s3://bucket/prefix. Networks and chains
-are programs, and members put files below HFB_DATA: these two come from HFB_ALLOWED alone.
+are programs, and members may put files below HFB_DATA: both must lie in HFB_ALLOWED.
 """
 
 from __future__ import annotations
@@ -23,13 +23,17 @@ _BELOW = re.compile(r"(/(?!\.)[\w.=-]+)*/?")  # of a store's address: names, non
 
 
 def is_limited() -> bool:
-    """Whether this is a run of a deployment: a flow called in Python has its caller's rights."""
+    """Return whether this is a run of a deployment; a flow called in Python has its caller's rights."""
     context = FlowRunContext.get()
     return context is not None and context.flow_run is not None and context.flow_run.deployment_id is not None
 
 
 def check_files(name: str, paths: Path | str | Sequence[Path | str] | None) -> None:
-    """Refuse what lies outside HFB_DATA and HFB_ALLOWED; links are followed.
+    """Refuse files outside HFB_DATA and HFB_ALLOWED; links are followed.
+
+    Args:
+        name: of the parameter.
+        paths: its value; None is allowed.
 
     Raises:
         InputError: the sentence names the path, and what an administrator can do.
@@ -45,6 +49,10 @@ def check_files(name: str, paths: Path | str | Sequence[Path | str] | None) -> N
 def check_programs(name: str, paths: Path | Sequence[Path] | None) -> None:
     """Refuse networks and chains that are not in HFB_ALLOWED; links are followed.
 
+    Args:
+        name: of the parameter.
+        paths: its value; None is allowed.
+
     Raises:
         InputError: the sentence names the path, and what an administrator can do.
     """
@@ -58,6 +66,10 @@ def check_programs(name: str, paths: Path | Sequence[Path] | None) -> None:
 
 def check_addresses(workers: int | str, store: str | None) -> None:
     """Refuse clusters and stores that are not in HFB_ALLOWED.
+
+    Args:
+        workers: number of processes, or a cluster's address.
+        store: a URL; None is allowed.
 
     Raises:
         InputError: the sentence names the address, and what an administrator can do.
@@ -76,7 +88,11 @@ def check_addresses(workers: int | str, store: str | None) -> None:
 
 
 def check_config(config: RunConfig, name: str = "options") -> None:
-    """Refuse options that name files, networks or body models of other places.
+    """Refuse options that name files, networks or body models outside the allowed places.
+
+    Args:
+        config: all options.
+        name: of the parameter.
 
     Raises:
         InputError: as of the checks above.

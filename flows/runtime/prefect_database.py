@@ -1,7 +1,7 @@
-"""The SQLite database of hfb's temporary Prefect servers: usable, in step with Prefect's version, and bounded in size.
+"""The SQLite database of hfb's temporary Prefect servers: usable, of Prefect's version, and bounded in size.
 
-One file per version of Prefect, so that two installations of hfb never migrate each other's. It is hfb's own, and what
-it holds is history: results lie elsewhere. A damaged one is set aside instead of ending every command.
+One file per version of Prefect, so that two installations of hfb never migrate each other's. It holds history only:
+results lie elsewhere. A damaged one is set aside instead of failing every command.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ _log = logging.getLogger(__name__)
 class PrefectDatabase:
     """The database of this process's temporary server.
 
-    The first server of a version makes the tables, and the others wait for it. Who finds nobody else at work checks
-    the whole file and removes what is old.
+    The first server of a version creates the tables while others wait. A process that finds no other one checks the
+    whole file and removes old history.
 
     Attributes:
         path: the SQLite file.
     """
 
     def __init__(self, home: Path, say: Callable[[str], None]) -> None:
-        """Wait until no other process makes the tables, then check the file.
+        """Wait until no other process creates the tables, then check the file.
 
         Args:
-            home: its folder.
+            home: folder of the database.
             say: tells the user that a database was set aside.
         """
         self._home, self._say = home, say
@@ -69,11 +69,15 @@ class PrefectDatabase:
 
     @property
     def url(self) -> str:
-        """PREFECT_SERVER_DATABASE_CONNECTION_URL."""
+        """Value of PREFECT_SERVER_DATABASE_CONNECTION_URL."""
         return f"sqlite+aiosqlite:///{self.path}"
 
     def set_aside(self, reason: str) -> None:
-        """Rename the database, so that the next server makes a new one, and tell the user."""
+        """Rename the database, so that the next server creates a new one, and tell the user.
+
+        Args:
+            reason: completes the sentence "the database ...".
+        """
         stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")
         for ending in _SIDE_FILES:
             path = Path(f"{self.path}{ending}")
@@ -87,16 +91,16 @@ class PrefectDatabase:
         )
 
     def let_go(self) -> None:
-        """There are tables, or the server did not start: the next server may try."""
+        """Release the lock: tables exist, or the server did not start and the next one may try."""
         self._making.release(force=True)
 
 
 def trouble_with(path: Path, thorough: bool) -> str | None:
-    """Why Prefect could not work with a database file; None where it can, or where there is none yet.
+    """Return why Prefect cannot work with a database file; None where it can, or where there is none yet.
 
     Args:
         path: the file.
-        thorough: read the whole file.
+        thorough: whether to read the whole file.
     """
     if not path.exists():
         return None
@@ -117,7 +121,12 @@ def trouble_with(path: Path, thorough: bool) -> str | None:
 
 
 def remove_old_files(home: Path, current: Path) -> None:
-    """Remove databases that were set aside, or belong to other versions of Prefect, once a month has passed."""
+    """Remove databases that were set aside, or belong to other versions of Prefect, after a month.
+
+    Args:
+        home: folder of the databases.
+        current: the database in use.
+    """
     for path in home.glob("prefect-*.db*"):
         if not path.name.startswith(current.name) or _SET_ASIDE in path.name:
             with suppress(OSError):
@@ -126,9 +135,11 @@ def remove_old_files(home: Path, current: Path) -> None:
 
 
 def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
-    """Remove history older than a month, or a shorter history where the file is larger than it may become.
+    """Remove history older than a month, or more where the file is too large. No server may be running on it.
 
-    No server may be running on it.
+    Args:
+        path: the database.
+        largest_bytes: of the file.
     """
     if not path.is_file():
         return
@@ -164,7 +175,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 
 def _revisions(path: Path) -> set[str]:
-    """Which of Prefect's revisions the tables are of; empty where there are none."""
+    """Return the Prefect revisions of the tables; empty where there are none."""
     if not path.is_file():
         return set()
     try:
@@ -175,7 +186,7 @@ def _revisions(path: Path) -> set[str]:
 
 
 def _known_revisions() -> tuple[set[str], str]:
-    """Every revision that the installed Prefect can migrate from, and the one that it works with.
+    """Return every revision that the installed Prefect can migrate from, and its own.
 
     Read from its files: importing its server takes seconds.
     """
@@ -189,7 +200,7 @@ def _known_revisions() -> tuple[set[str], str]:
 
 
 def _taken_alone(lock: ReadWriteLock) -> bool:
-    """Whether nobody else holds it; this process does then."""
+    """Return whether nobody else holds the lock; this process then does."""
     try:
         lock.acquire_write(blocking=False)
     except Timeout:

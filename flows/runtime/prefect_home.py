@@ -1,4 +1,4 @@
-"""The folder of hfb's own Prefect: the user's settings apply, the user's database is never opened. Light to import.
+"""hfb's own Prefect home: the user's settings apply, the user's database is never opened. Light to import.
 
 Prefect's default home holds a database that every Prefect of the user migrates to its own version. hfb's temporary
 server therefore has a home of its own; only the profiles, which name the API address and its login, are the user's.
@@ -25,7 +25,7 @@ _USERS_HOME = "~/.prefect"
 def use_own_home() -> None:
     """Set PREFECT_HOME to hfb's own folder: below the user's where one is set, else in the user's state folder.
 
-    Has to come before Prefect is imported. A process that a command of hfb starts has the same home.
+    Must be called before Prefect is imported. Processes that a command of hfb starts have the same home.
     """
     with suppress(RuntimeError):  # no home folder is known: `check_home` says so
         default = platformdirs.user_state_path("hfb") / "prefect"
@@ -37,7 +37,7 @@ def use_own_home() -> None:
 
 
 def check_home() -> None:
-    """Raises InputError where nobody knows the user's home folder, so that files would land in a folder called ~."""
+    """Raise InputError if the user's home folder is unknown, so that files would land in a folder called ~."""
     try:
         Path.home()
     except RuntimeError:
@@ -48,7 +48,7 @@ def make_home() -> str | None:
     """Make hfb's Prefect home; where it cannot be written, take a temporary one for this process.
 
     Returns:
-        a remark for the user about a temporary home; None where there is nothing to say.
+        a remark for the user about a temporary home; None for the regular one.
 
     Raises:
         TemporaryError: there is no place for a temporary home either.

@@ -1,6 +1,7 @@
-"""Flow runs that nobody runs any more: kill -9 leaves them Running in Prefect for ever, so each start ends them.
+"""End flow runs without a process: a killed process leaves them Running in Prefect, so each start ends them.
 
-So does a database that is away when a run's end is told: Prefect's server answers 500, and nobody tells it again.
+The same happens where the database is unavailable when a run's end is reported: Prefect's server answers 500, and the
+end is not reported again.
 """
 
 from __future__ import annotations
@@ -26,7 +27,13 @@ _log = logging.getLogger(__name__)
 
 
 def mark_owner(flow: Any, flow_run: Any, state: Any) -> None:
-    """Hook of every flow that begins: whose it is, so that a later start can tell that its process is gone."""
+    """Hook of every flow that begins: mark its process, so that a later start can detect that it is gone.
+
+    Args:
+        flow: the flow.
+        flow_run: its run.
+        state: of the run.
+    """
     del flow, state
     _begun.add(flow_run.id)
     with suppress(Exception), get_client(sync_client=True) as client:  # without a mark it is merely never reaped
@@ -34,9 +41,9 @@ def mark_owner(flow: Any, flow_run: Any, state: Any) -> None:
 
 
 def end_abandoned_flow_runs() -> int:
-    """Crashed for every unfinished flow run that nobody runs; returns how many there were.
+    """Set Crashed for every unfinished flow run without a process; returns their number.
 
-    Its process on this machine is gone, or it is this one, and the run is not the one in which this is called.
+    Its process on this machine is gone, or it is this one and the run is not the caller's.
     """
     current = FlowRunContext.get()
     ours = _begun - ({current.flow_run.id} if current is not None and current.flow_run is not None else set())

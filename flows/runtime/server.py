@@ -1,4 +1,4 @@
-"""What a run needs around it: a Prefect server and a log."""
+"""The surroundings of a run: a Prefect server and a log."""
 
 from __future__ import annotations
 
@@ -37,16 +37,18 @@ _LOG_BYTES = 2_000_000
 
 
 def log_path() -> Path:
-    """The log of all runs of this user."""
+    """Return the path of the log of all this user's runs."""
     return Path(platformdirs.user_log_path("hfb")) / "hfb.log"
 
 
 def keep_log(verbose: bool = False) -> None:
-    """Everything into the log file, warnings also to the person; Prefect's own lines only when asked for.
+    """Log everything to the log file, warnings also to the display; Prefect's own lines only when verbose.
 
-    With HFB_LOG=json the file has one JSON object per line; see tasks/telemetry/structured_log.py.
+    With HFB_LOG=json the file has one JSON object per line; see tasks/telemetry/structured_log.py. Must be called
+    before Prefect is imported, which keeps existing handlers.
 
-    Has to come before Prefect is imported: it leaves handlers alone that it finds.
+    Args:
+        verbose: whether to display Prefect's lines.
     """
     root = logging.getLogger()
     if any(isinstance(handler, _Telling) for handler in root.handlers):
@@ -67,7 +69,7 @@ def keep_log(verbose: bool = False) -> None:
 
 
 def check_api_url() -> None:
-    """Raises InputError where PREFECT_API_URL is no address of a server."""
+    """Raise InputError if PREFECT_API_URL is no address of a server."""
     if url := os.environ.get("PREFECT_API_URL"):
         check_address("PREFECT_API_URL", url, _EXAMPLE)
 
@@ -95,14 +97,14 @@ def load_prefect() -> None:
 
 
 class PrefectServer:
-    """The server of this process's flows: the one that the user set, or a temporary one that ends with it.
+    """The server of this process's flows: the user's, or a temporary one that ends with the process.
 
-    Prefect would start a temporary one by itself, on first use and while everything waits; it would load the
-    whole server into this process too, and leave it running after kill -9. Here it starts beside the imports.
+    Prefect would start a temporary one on first use, while everything waits; it would load the whole server into this
+    process, too, and leave it running after a kill. Here it starts during the imports.
     """
 
     def __init__(self) -> None:
-        """Raises InputError when the server that the user set does not answer."""
+        """Start the server. Raises InputError when the user's server does not answer."""
         from prefect.context import refresh_global_settings_context
         from prefect.settings import get_current_settings
 
@@ -129,7 +131,7 @@ class PrefectServer:
             refresh_global_settings_context()
 
     def wait(self) -> None:
-        """Return when the server answers, on a new database if it cannot work with the one that there is."""
+        """Return when the server answers, with a new database if it cannot work with the existing one."""
         if self._database is None:
             return
         try:
@@ -154,7 +156,7 @@ class PrefectServer:
         self._process = _start_server(self._api, database.url, self._settings, self._log)
 
     def _trouble(self) -> str | None:
-        """Why the temporary server does not work; None as soon as it does."""
+        """Return why the temporary server does not work; None as soon as it does."""
         assert self._process is not None
         began = time.monotonic()
         while reason := does_not_answer(self._api):
@@ -166,7 +168,7 @@ class PrefectServer:
         return _cannot_read_runs(self._api)
 
     def _is_about_database(self) -> bool:
-        """Whether the server's log blames its database, and neither a full disk nor another process."""
+        """Return whether the server's log blames its database, and neither a full disk nor another process."""
         said = self._said()
         full_or_busy = _FULL.search(said) or "database is locked" in said
         return re.search(r"sqlite3\.|sqlalchemy|alembic", said) is not None and not full_or_busy
@@ -215,12 +217,17 @@ def _free_port() -> int:
 
 
 def does_not_answer(api: str, patience_s: float = _HEALTH_TIMEOUT_S) -> str | None:
-    """Why a server is of no use, or None where it answers."""
+    """Return why a server is unusable, or None where it answers.
+
+    Args:
+        api: address of its API.
+        patience_s: for the whole answer.
+    """
     return no_answer(f"{api.rstrip('/')}/health", patience_s)
 
 
 def _cannot_read_runs(api: str) -> str | None:
-    """Why a server cannot read its tables; it answers /health without looking at them."""
+    """Return why a server cannot read its tables, which its /health does not check."""
     for kind in ("flow_runs", "task_runs"):
         request = Request(f"{api}/{kind}/filter", data=b'{"limit": 1}', headers={"Content-Type": "application/json"})
         try:
@@ -235,7 +242,7 @@ def _cannot_read_runs(api: str) -> str | None:
 
 
 def _end_with_this_process(server_pid: int) -> None:
-    """End the temporary server even after kill -9, when nothing of this process runs any more.
+    """End the temporary server with this process, even if that is killed.
 
     The watcher reads a pipe that only this process holds open; the read ends when the process does.
     """
@@ -251,7 +258,7 @@ def _end_with_this_process(server_pid: int) -> None:
 
 
 class _Telling(logging.Handler):
-    """Warnings to the person who waits, through the display, so that no bar swallows them."""
+    """Shows warnings through the display, so that no progress bar hides them."""
 
     def __init__(self, verbose: bool) -> None:
         super().__init__(logging.INFO if verbose else logging.WARNING)
@@ -259,6 +266,11 @@ class _Telling(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         # What fails inside a task surfaces as an exception; Prefect's account of it is for the log.
+        """Show a record.
+
+        Args:
+            record: of the log.
+        """
         if self._verbose or not record.name.startswith(("prefect", "py.warnings", "alembic", "mlflow")):
             progress.say(without_secrets(f"{record.levelname.lower()}: {record.getMessage()}"))
 

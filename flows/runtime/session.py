@@ -1,4 +1,4 @@
-"""Around every command: log, store, display, Prefect's server, and the result on standard output. Light to import."""
+"""Surroundings of every command: log, store, display, Prefect's server, standard output. Light to import."""
 
 from __future__ import annotations
 
@@ -17,11 +17,17 @@ from hfb.flows.runtime import summary
 from hfb.tasks.telemetry.secrets import hidden_in, without_secrets
 
 Chain = Callable[[Callable[[], None]], dict[str, Any]]
-"""Does the work; calls what it is given before it needs the server."""
+"""A command's computation; it calls its argument before it needs the server."""
 
 
 def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
-    """Start the server, import the method while it starts, then run the chain."""
+    """Start the server, import the method meanwhile, then run the chain.
+
+    Args:
+        given: the parsed options.
+        out: where the results go.
+        load: imports the method and returns its chain.
+    """
     with open_session(given, out):
         from hfb.tasks.telemetry import progress
 
@@ -48,7 +54,13 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
 
 @contextmanager
 def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
-    """A log, a folder that can be written, a store that answers (where one is needed), and a display."""
+    """Set up a log, a writable folder, a store that answers (where one is needed), and a display inside the block.
+
+    Args:
+        given: the parsed options.
+        out: where the results go.
+        recorded: whether the command needs the store.
+    """
     from hfb.flows.runtime.prefect_home import make_home
     from hfb.flows.runtime.server import check_api_url, keep_log
     from hfb.flows.runtime.workspace import check_writable
@@ -69,15 +81,18 @@ def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) ->
 
 
 def output_folder_of(source: str) -> Path:
-    """The folder into which something made of an earlier result goes: the result's own; of a recorded run's id, one
-    in ``runs``."""
+    """Return the folder of files made from an earlier result: the result's own, or ``runs`` for a recorded run's id.
+
+    Args:
+        source: a folder, a file, or a run's id.
+    """
     path = Path(source)
     return path if path.is_dir() else path.parent if path.is_file() else Path("runs")
 
 
 @contextmanager
 def results_alone_on_stdout() -> Iterator[None]:
-    """Whatever is printed inside, by a library in C or a worker process too, goes to standard error."""
+    """Redirect everything printed inside the block to standard error, including by C libraries and worker processes."""
     sys.stdout.flush()
     with ExitStack() as stack:
         with suppress(OSError):  # closed, as a service may have it
@@ -91,7 +106,7 @@ def results_alone_on_stdout() -> Iterator[None]:
 
 @contextmanager
 def libraries() -> Iterator[None]:
-    """The step in which a command imports what it needs, Prefect first."""
+    """Show the imports inside the block as a step; Prefect comes first."""
     from hfb.tasks.telemetry import progress
 
     with progress.step("libraries"), unwatched_by_gc():
@@ -103,9 +118,10 @@ def libraries() -> Iterator[None]:
 
 @contextmanager
 def unwatched_by_gc() -> Iterator[None]:
-    """Importing makes millions of objects that live as long as the process.
+    """Disable garbage collection inside the block, for imports.
 
-    Python would search them for garbage while they come, a third of the time, and once more at the end: seconds.
+    Importing creates millions of objects that live as long as the process. Searching them for garbage takes a third of
+    the time, and again seconds at the end.
     """
     gc.disable()
     try:
@@ -116,7 +132,11 @@ def unwatched_by_gc() -> Iterator[None]:
 
 
 def when_ready(work: Callable[[], dict[str, Any]]) -> Chain:
-    """A chain that needs the server from its beginning."""
+    """Return a chain that needs the server from its beginning.
+
+    Args:
+        work: runs the chain.
+    """
 
     def chain(ready: Callable[[], None]) -> dict[str, Any]:
         ready()
@@ -126,7 +146,13 @@ def when_ready(work: Callable[[], dict[str, Any]]) -> Chain:
 
 
 def tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
-    """The result as JSON, or in words."""
+    """Print the result as JSON, or as text.
+
+    Args:
+        given: the parsed options.
+        result: content of the JSON.
+        text: for people.
+    """
     if given.json:
         print(json.dumps(hidden_in(result)))
     elif not given.quiet:
@@ -136,10 +162,10 @@ def tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
 def report(
     given: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
 ) -> None:
-    """The chosen keys as JSON, or a table of scores, times and places.
+    """Print the chosen keys as JSON, or a table of scores, times and places.
 
     Args:
-        given: the command's arguments.
+        given: the parsed options.
         result: the content of result.json.
         keys: that --json prints.
         rows: of the table.

@@ -1,4 +1,4 @@
-"""The short table that ends a run, and the keys of its JSON line."""
+"""The table printed at the end of a run, and the keys of its JSON line."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ if TYPE_CHECKING:
 
 
 def number_text(value: float | None) -> str:
-    """A figure in few characters."""
+    """Format a number in few characters; ``-`` for None.
+
+    Args:
+        value: any number.
+    """
     if value is None:
         return "-"
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
 class Row(NamedTuple):
-    """One line of the table: a score, and how to write it."""
+    """One line of the table: label and key of a score, and its format."""
 
     label: str
     key: str
@@ -53,7 +57,13 @@ DEMO_ROWS = (
 
 
 def text(result: Mapping[str, Any], rows: tuple[Row, ...], hint: str | None) -> str:
-    """The table, the times and where to look; the hint says how to make the link work."""
+    """Return the table, the times and the places of files.
+
+    Args:
+        result: content of result.json, with ``total_seconds``.
+        rows: of the table.
+        hint: how to open the link to MLflow; None to leave it out.
+    """
     lines = ["", f"{'':<20}{'initial':>10}{'fitted':>10}"]
     for label, key, form in rows:
         cells = (_cell(result.get(name), form) for name in (f"initial_{key}", key))
@@ -73,7 +83,11 @@ def text(result: Mapping[str, Any], rows: tuple[Row, ...], hint: str | None) -> 
 
 
 def models_text(models: Sequence[KnownModel]) -> str:
-    """A few lines per model: what for, is it here, whose is it, and how to get it."""
+    """Return a few lines per model: use, presence, licence, and how to get it.
+
+    Args:
+        models: known models.
+    """
     lines = []
     for model in models:
         state = {True: "here", False: f"missing, get it by {model.get}", None: f"yours to bring: {model.get}"}

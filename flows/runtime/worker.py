@@ -1,7 +1,7 @@
-"""Workers that start hfb's flows and nothing else: what Prefect's own take from a run or a pool has no effect here.
+"""Prefect workers that start only hfb's flows; variables of a run or a pool have no effect.
 
-Prefect's process worker lets whoever starts a run choose its command, environment and folder (job variables), and
-loads the code that a deployment names. `prefect worker start --pool hfb` finds these classes by the pool's type.
+With Prefect's process worker, whoever starts a run chooses its command, environment and folder (job variables), and the
+worker loads the code that a deployment names. `prefect worker start --pool hfb` finds these classes by the pool's type.
 """
 
 from __future__ import annotations
@@ -25,23 +25,29 @@ NO_VARIABLES: Mapping[str, Any] = {"type": "object", "properties": {}, "addition
 
 
 class FixedConfiguration(BaseJobConfiguration):
-    """How a process for a flow run is started: as the worker is, whatever run, deployment and pool say.
+    """The start of a flow run's process: as the worker was started, whatever run, deployment and pool say.
 
-    The pool tells one thing: how often a run is to be heard of, since its server ends runs that fall silent.
+    The pool sets one thing: the interval of a run's heartbeats, since its server ends runs without them.
     """
 
     @classmethod
     async def from_template_and_values(
         cls, base_job_template: dict[str, Any], values: dict[str, Any], client: PrefectClient | None = None
     ) -> Self:
-        """See the class."""
+        """Take the heartbeat's interval from the pool, and nothing else.
+
+        Args:
+            base_job_template: of the pool.
+            values: of the run; ignored.
+            client: of Prefect's server; ignored.
+        """
         beat = (base_job_template.get("job_configuration", {}).get("env") or {}).get(BEAT)
         given = isinstance(beat, str) and beat.isdecimal() and int(beat) >= _SHORTEST_BEAT_S
         return cls(env={BEAT: beat} if given else {})
 
 
 class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult]):
-    """Starts each flow run in a process of its own on this machine."""
+    """Starts each flow run in its own process on this machine."""
 
     type = "hfb"
     job_configuration = FixedConfiguration
@@ -50,13 +56,19 @@ class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult])
 
     @classmethod
     def get_default_base_job_template(cls) -> dict[str, Any]:
-        """Of a pool that a worker makes itself: nothing to fill in."""
+        """Return the template of a pool that a worker creates: no variables."""
         return {"job_configuration": {"env": {}}, "variables": dict(NO_VARIABLES)}
 
     async def run(
         self, flow_run: FlowRun, configuration: FixedConfiguration, task_status: TaskStatus[int] | None = None
     ) -> BaseWorkerResult:
-        """Refuse what is not ours, else run it to its end."""
+        """Refuse a run of other code, else run it to its end.
+
+        Args:
+            flow_run: the run.
+            configuration: with the heartbeat's interval.
+            task_status: receives the process id.
+        """
         entrypoint = await entrypoint_of(flow_run, self.client)
         environment = {**os.environ, **configuration.env}
         code, process = await supervise(flow_run, entrypoint, environment, task_status or TASK_STATUS_IGNORED)
@@ -64,7 +76,7 @@ class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult])
 
 
 def _fixed(configuration: type[Any]) -> type[Any]:
-    """A job configuration of containers whose image and mounts are the pool's, and whose command is ours."""
+    """Return a job configuration of containers with the pool's image and mounts, and hfb's command."""
 
     class Fixed(configuration):
         """Job variables of runs and deployments have no effect."""

@@ -1,7 +1,7 @@
-"""A run's folder: one worker at a time, results that appear together or not at all, nothing left after an error.
+"""A run's folder: one process at a time, results that appear together or not at all, nothing left after an error.
 
 OUT/motion.npz strip.png texture.png matte_0.png ... result.json    the latest finished result
-OUT/intermediate/                                                   what tasks leave for each other
+OUT/intermediate/                                                   files that tasks exchange
 """
 
 from __future__ import annotations
@@ -38,15 +38,18 @@ _FOLDER = re.compile(r"(case|person)[_-]\d+")
 
 
 class OutputConflict(InputError):
-    """A file of the user's lies where a result belongs; what was computed is kept."""
+    """A file of the user's has the name of a result's file; what was computed is kept."""
 
 
 @contextmanager
 def workspace(out: Path) -> Iterator[Path]:
-    """The folder for intermediate files, held for this process alone.
+    """Provide the folder of intermediate files inside the block, locked for this process.
 
-    It stays after a crash, so that the next run goes on from there; after an InputError what was not there
-    before is removed again.
+    It stays after a crash, so that the next run continues from there; after an InputError new folders are removed
+    again.
+
+    Args:
+        out: where the results go.
 
     Raises:
         InputError: the folder cannot be written, another process works in it, or it holds a link or a special file
@@ -78,7 +81,7 @@ def workspace(out: Path) -> Iterator[Path]:
 
 @contextmanager
 def _held(out: Path) -> Iterator[bool]:
-    """Whether the folder's lock was free; it is then held."""
+    """Yield whether the folder's lock was free; it is held inside the block."""
     with open_folder(out, INTERMEDIATE, make=True):
         lock = open_lock(out, INTERMEDIATE, _LOCK)
     try:
@@ -88,14 +91,14 @@ def _held(out: Path) -> Iterator[bool]:
 
 
 def _check_names(out: Path) -> None:
-    """Raises NotOrdinary where a link or a special file has the name of something that hfb leaves in a result."""
+    """Raise NotOrdinary if a link or a special file has the name of one of a result's files."""
     for entry in os.scandir(out):
         if _is_a_name_of_hfb(entry.name) or entry.name in _FOLDERS or _FOLDER.fullmatch(entry.name):
             check_ordinary(out, entry.name)
 
 
 def _remove_leftovers(out: Path, folder: Path) -> None:
-    """Remove what a killed writer left: files of hfb under temporary names of hfb's."""
+    """Remove temporary files that a killed writer of hfb left."""
     for place in (out, folder):
         for entry in list(os.scandir(place)):
             name = leftover_of(entry.name)
@@ -105,7 +108,11 @@ def _remove_leftovers(out: Path, folder: Path) -> None:
 
 
 def check_writable(out: Path) -> None:
-    """Raises InputError where a folder cannot be made, or written into; makes nothing."""
+    """Raise InputError if a folder cannot be created or written; creates nothing.
+
+    Args:
+        out: where the results go.
+    """
     if not is_text(out.absolute()):
         raise InputError(f"{out.absolute()} has a name that is not text in UTF-8: choose another --out")
     for folder in (out.absolute(), *out.absolute().parents):
@@ -121,19 +128,19 @@ def check_writable(out: Path) -> None:
 
 
 def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> None:
-    """Put finished files into the run's folder: they appear together, or result.json says that they are unfinished.
+    """Move finished files into the run's folder: they appear together, or result.json marks them as unfinished.
 
-    All are first copied beside their places. From then on, until the last of them is renamed, result.json is a note
-    that says ``unfinished`` (see tasks/core/result_folder.py); the next run of any command puts its own result there.
-    What an earlier result had beyond this one is removed, as far as it is what hfb wrote, and nothing else.
+    All are first copied beside their places. From then on, until the last of them is renamed, result.json holds
+    ``unfinished`` (see tasks/core/result_folder.py); the next run of any command replaces it. Further files of an
+    earlier result are removed, as far as hfb wrote them.
 
     Args:
         out: the run's folder.
-        files: name -> where it lies now.
+        files: name -> current place.
         result: the content of result.json; it gets ``files``, the names of the others, and their ``sha256``.
 
     Raises:
-        OutputConflict: a file would take the place of an input of this run, or of one that hfb did not put there.
+        OutputConflict: a file would replace an input of this run, or one that hfb did not write.
     """
     staging = out / INTERMEDIATE / _STAGING
     inputs = set(result.get("inputs", {}).values())
@@ -156,7 +163,11 @@ def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> Non
 
 
 def mark_unfinished(out: Path) -> None:
-    """Say in an earlier result's result.json that parts of it are being replaced; nothing where there is none."""
+    """Mark an earlier result as unfinished while parts of it are replaced; does nothing where there is none.
+
+    Args:
+        out: folder of the result.
+    """
     earlier = _published(out)
     if earlier.known:
         _mark(out, {"out": str(out.resolve())}, earlier)
@@ -164,13 +175,17 @@ def mark_unfinished(out: Path) -> None:
 
 @contextmanager
 def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
-    """The folder that files go into which are made of a result later on.
+    """Provide a folder inside the block for files made later from a result.
 
-    Where ``out`` holds a result they are moved beside it at the end and count as its own: they go when another comes.
+    Where ``out`` holds a result they are moved beside it at the end and belong to it: the next result removes them.
+
+    Args:
+        out: folder of the result.
+        names: of the files.
 
     Raises:
         Busy: another process works there.
-        OutputConflict, TemporaryError: a file would take the place of one that hfb did not put there.
+        OutputConflict, TemporaryError: a file would replace one that hfb did not write.
     """
     if not _published(out).known:
         with among_own_files(out, names) as folder:
@@ -190,7 +205,7 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
 
 def _move_beside(out: Path, made: Mapping[str, Path], earlier: _Published) -> None:
-    """Record first and move then: a file of hfb's that no record names would stay beside other results."""
+    """Record files first and move them then: a file that no record names would stay beside other results."""
     result = read_result_content(out)
     if "files" in result:  # else they are known by their names
         result["files"] = sorted({*result["files"], *made})
@@ -211,12 +226,12 @@ def _as_json(result: dict[str, Any]) -> bytes:
 
 @dataclass(frozen=True)
 class _Published:
-    """What hfb's result.json says that it put into a folder.
+    """The files that hfb's result.json names.
 
     Attributes:
-        known: there is such a result.json.
+        known: whether there is such a result.json.
         files: names.
-        complete: it names every file and its content; results of older versions do not.
+        complete: whether it names every file and its hash; results of older versions do not.
         sha256: of these files; several where one was being replaced.
     """
 
@@ -226,14 +241,19 @@ class _Published:
     sha256: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def wrote(self, name: str, path: Path) -> bool:
-        """Whether a file is what hfb put there under this name."""
+        """Return whether a file is the one that hfb wrote under this name.
+
+        Args:
+            name: in result.json.
+            path: the file.
+        """
         return name in self.files and (not self.complete or sha256_of(path) in self.sha256.get(name, ()))
 
 
 def _published(out: Path) -> _Published:
-    """The record of the result in a folder.
+    """Return the record of the result in a folder.
 
-    Where an older version did not name its files, what has a name that only some results have is taken for its.
+    Older versions did not name all files: then files of names that only some results have count as the result's.
     """
     try:
         content = read_result_content(out)
@@ -250,7 +270,7 @@ def _published(out: Path) -> _Published:
 
 
 def _check_room(out: Path, files: Mapping[str, Path], inputs: set[str], earlier: _Published) -> None:
-    """Raises OutputConflict where a file would take the place of something that is not hfb's to replace."""
+    """Raise OutputConflict if a file of the user's would be replaced."""
     for name in (*files, RESULT):
         if (kind := special_kind(out / name)) is not None:
             raise OutputConflict(
@@ -270,7 +290,7 @@ def _check_room(out: Path, files: Mapping[str, Path], inputs: set[str], earlier:
 
 
 def _mark(out: Path, result: Mapping[str, Any], earlier: _Published) -> None:
-    """Put the note in result.json's place; it names the old files and the new, so that the next run replaces both."""
+    """Replace result.json by the note, which names old and new files, so that the next run replaces both."""
     note: dict[str, Any] = {
         UNFINISHED: "files are being replaced; where no hfb is running, run the same command again",
         "out": result["out"],
@@ -285,7 +305,7 @@ def _mark(out: Path, result: Mapping[str, Any], earlier: _Published) -> None:
 
 
 def _remove_stale(out: Path, earlier: _Published, files: Mapping[str, Path], inputs: set[str]) -> None:
-    """Remove what the earlier result had beyond the new one, unless it was changed since hfb wrote it."""
+    """Remove the earlier result's further files, unless they were changed since hfb wrote them."""
     for name in earlier.files - files.keys():
         path = out / name
         if not _is_a_name_of_hfb(name) or not is_regular(path) or _is_one_of(inputs, path):
@@ -295,7 +315,7 @@ def _remove_stale(out: Path, earlier: _Published, files: Mapping[str, Path], inp
 
 
 def _clear(staging: Path, names: set[str]) -> None:
-    """Remove the staging folder with what a killed run may have left in it."""
+    """Remove the staging folder with the files of a killed run."""
     for entry in list(os.scandir(staging)):
         name = leftover_of(entry.name) or entry.name
         if (name in names or _is_a_name_of_hfb(name)) and entry.is_file(follow_symlinks=False):
@@ -309,7 +329,7 @@ def _only_sometimes(name: str) -> bool:
 
 
 def _is_a_name_of_hfb(name: str) -> bool:
-    """The folder may be from somebody else, whose result.json names anything."""
+    """Return whether hfb writes files of this name: the folder may be of foreign origin, with any result.json."""
     return name in (*_OF_MOTIONS, RESULT) or _only_sometimes(name)
 
 

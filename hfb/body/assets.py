@@ -1,4 +1,4 @@
-"""Body models by what the user gave: a SMPL file of theirs, or nothing, which is the embedded body."""
+"""Loading of body models: a user's SMPL file, or the embedded body."""
 
 import json
 from functools import lru_cache

@@ -48,7 +48,7 @@ def make_atlas(
 
 
 def _looking_along(normals: Float[Array, "F 3"], pairs: Int[Array, "P 2"]) -> Int[Array, "F"]:
-    """0..5 for +x, -x, +y, -y, +z, -z: where the smoothed normal points most."""
+    """Return 0..5 for +x, -x, +y, -y, +z, -z, the axis nearest to the smoothed normal."""
     smooth = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     for _ in range(_SMOOTHING):
         total = smooth.copy()
@@ -129,7 +129,7 @@ def _pack(flat: Float[Array, "U 2"], chart: Int[Array, "U"]) -> Float[Array, "U 
 
 
 def _shelves(size: Float[Array, "N 2"]) -> Float[Array, "N 2"] | None:
-    """Corners of boxes put on shelves, highest first, each on the first shelf with room; None where they do not fit."""
+    """Pack boxes on shelves, highest first, each on the first shelf with room; None where they do not fit."""
     corner = np.zeros_like(size)
     shelves: list[list[float]] = []  # [height at which it hangs, width taken]
     top = 0.0

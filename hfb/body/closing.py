@@ -1,7 +1,7 @@
 """Close the holes of a triangle mesh with fans of existing vertices, so that its silhouette is that of a solid.
 
-Not by trimesh's `fill_holes`: it searches cycles by networkx, which takes minutes for a hostile file of many edges, and
-it knows no texture coordinates.
+trimesh's `fill_holes` is not used: it searches cycles by networkx, which takes minutes for hostile files of many edges,
+and it has no texture coordinates.
 """
 
 import numpy as np

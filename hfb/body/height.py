@@ -1,4 +1,4 @@
-"""How tall a person stands, as a function of the betas, and the shape nearest to another that has a known height."""
+"""Height of a body as a function of the betas, and the nearest shape of a known height."""
 
 from functools import lru_cache
 
@@ -23,7 +23,7 @@ def as_tall(betas: Float[Tensor, "*n K"], body: Body, height: float) -> Float[Te
     Args:
         betas: shape coefficients.
         body: the body model.
-        height: from soles to crown [m].
+        height: height from soles to crown [m].
     """
     _, per_beta = height_line(body)
     per_beta = per_beta.to(betas)

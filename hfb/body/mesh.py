@@ -1,4 +1,4 @@
-"""What a rasteriser needs of a body beside its vertices: triangles, texture coordinates and who shares which edge."""
+"""The constant mesh of a body: triangles, texture coordinates and edges."""
 
 from dataclasses import dataclass
 
@@ -84,7 +84,7 @@ def vertex_normals(vertices: Float[Tensor, "S V 3"], mesh: Mesh) -> Float[Tensor
     """Return unit normals, each the mean of its faces' weighted by their areas.
 
     Args:
-        vertices: of each instant [m].
+        vertices: vertices of each instant [m].
         mesh: their triangles.
     """
     corners = vertices[:, mesh.faces]

@@ -37,14 +37,17 @@ class Body:
     """A body model in the SMPL layout: rest pose T, y up, facing +z, left is +x [m].
 
     Attributes:
-        name: what to call it in reports.
-        betas_space: whose shape coefficients these are; ``"hfb"`` betas mean nothing to SMPL, and the reverse.
-        licence: terms of the model's file. source: where it came from.
-        template: mean rest shape. shape_directions: displacement of each vertex per unit of beta.
-        pose_directions: SMPL's pose blend shapes: displacement of each vertex per unit of the 9 entries of 23
-            matrices; None where the model has none.
+        name: name in reports.
+        betas_space: space of the shape coefficients; ``"hfb"`` betas are meaningless for SMPL, and vice versa.
+        licence: terms of the model's file.
+        source: origin of the model.
+        template: mean rest shape.
+        shape_directions: displacement of each vertex per unit of beta.
+        pose_directions: SMPL's pose blend shapes: displacement of each vertex per unit of the 9 entries of 23 matrices;
+            None where the model has none.
         joint_regressor: joints of the rest pose as weighted means of its vertices.
-        joint_template, joint_shape_directions: the regressor applied to the two above, so joints need no vertices.
+        joint_template: the regressor applied to the two above, so joints need no vertices.
+        joint_shape_directions: the regressor applied to the two above, so joints need no vertices.
         skinning_weights: share of each joint in each vertex; rows add up to 1.
         mesh: triangles, texture coordinates, edges.
     """
@@ -106,7 +109,7 @@ class Body:
         """Return the body in a device's memory; its mesh, which a rasteriser copies for itself, is not moved.
 
         Args:
-            device: where tensors are.
+            device: device for the tensors.
         """
         return self._with_tensors_to(device)
 
@@ -140,7 +143,7 @@ def bone_length(joints: Float[Tensor, "24 3"]) -> Float[Tensor, ""]:
     """Return the total length of the 23 bones [m]: a person's size in any pose.
 
     Args:
-        joints: of one pose [m].
+        joints: joints of one pose [m].
     """
     if compiled(joints):
         ends = joints.index_select(0, constant(_BONE_ENDS, torch.long, joints.device)).view(2, -1, 3)
@@ -155,7 +158,8 @@ class ShapedBody:
 
     Attributes:
         body: the model it came from.
-        vertices, joints: in the rest pose [m].
+        vertices: in the rest pose [m].
+        joints: in the rest pose [m].
     """
 
     body: Body
@@ -166,7 +170,8 @@ class ShapedBody:
         """Skin the person at S instants.
 
         Args:
-            rotations: of each joint in its parent's frame; the root's maps the rest body into the target frame.
+            rotations: rotations of each joint in its parent's frame; the root's maps the rest body into the target
+                frame.
             translations: added to the posed vertices [m]; the root turns about its own joint, as in SMPL.
         """
         T_world_rest, joints = self._placed(rotations, translations)
@@ -178,7 +183,8 @@ class ShapedBody:
         """Return vertices at all but the last instant of every frame, and joints at all instants [m]; see `pose`.
 
         Args:
-            rotations: of each joint in its parent's frame; the root's maps the rest body to the camera's frame.
+            rotations: rotations of each joint in its parent's frame; the root's maps the rest body to the camera's
+                frame.
             translations: SMPL's [m], camera coordinates.
         """
         size = rotations.shape[:2]
@@ -192,7 +198,8 @@ class ShapedBody:
         """Return the posed joints [m], without skinning.
 
         Args:
-            rotations: of each joint in its parent's frame; the root's maps the rest body to the camera's frame.
+            rotations: rotations of each joint in its parent's frame; the root's maps the rest body to the camera's
+                frame.
             translations: SMPL's [m], camera coordinates.
         """
         return self._placed(rotations, translations)[1]
@@ -200,7 +207,7 @@ class ShapedBody:
     def _placed(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
     ) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
-        """Transforms of the rest body to the world, and the joints."""
+        """Return transforms of the rest body to the world, and the joints."""
         if compiled(rotations):
             return operators.place_joints(rotations, translations, self.joints, PARENT_TABLE)
         return skinning.place_joints(rotations, translations, self.joints)
@@ -208,13 +215,13 @@ class ShapedBody:
     def _skinned(
         self, T_world_rest: Float[Tensor, "S 24 3 4"], rotations: Float[Tensor, "S 24 3 3"]
     ) -> Float[Tensor, "S V 3"]:
-        """Vertices, displaced by pose blend shapes (SMPL's eq. 9) where the model has them, and skinned."""
+        """Return vertices, displaced by pose blend shapes (SMPL's eq. 9) where the model has them, and skinned."""
         body, directions = self.body, self.body.pose_directions
         if compiled(rotations):
             held = body.sparse_skinning
             if directions is None:
                 return operators.skin(T_world_rest, self.vertices, *held)
-            # Reading them is what costs in a fit, which calls this with gradients; what leaves it is exact.
+            # Reading them dominates the cost in a fit, which calls this with gradients; its result is posed exactly.
             searched = torch.is_grad_enabled() and (T_world_rest.requires_grad or self.vertices.requires_grad)
             rows = body.rounded_pose_rows if searched else body.pose_rows
             return operators.blend_and_skin(T_world_rest, rotations, self.vertices, *rows, *held)[0]
@@ -226,10 +233,10 @@ class ShapedBody:
 
 
 def _weighed(directions: Float[Tensor, "*n K"], betas: Float[Tensor, "K"]) -> Float[Tensor, "*n"]:
-    """The sum of directions times betas.
+    """Return the sum of directions times betas.
 
-    Of many fits at once a processor's matrix product adds the gradient up in an order that hangs on a fit's place among
-    them: there every fit has a sum of its own.
+    With many fits at once a CPU's matrix product sums the gradient in an order that depends on a fit's place among
+    them, so there every fit has its own sum.
     """
     if betas.device.type == "cpu" and not compiled(betas):
         return (directions * betas).sum(-1)

@@ -52,7 +52,7 @@ in for the regressed ones (the head is the joint at the skull's base, not its to
 
 
 def _ancestors_by_doubling() -> tuple[tuple[int, ...], ...]:
-    """For every round k the joint 2**k steps up the tree; ``JOINT_COUNT`` stands for "above the root".
+    """Return, for every round k, the joint 2**k steps up the tree; ``JOINT_COUNT`` stands for "above the root".
 
     Multiplying every joint's transform by that of its ancestor at distance 1, 2, 4, 8 composes the whole chain
     in four batched products instead of 24 single ones.

@@ -30,9 +30,9 @@ def place_joints(
     """Return transforms of the rest body to the world, and the joints: products along the chains (SMPL's eq. 4).
 
     Args:
-        rotations: of each joint in its parent's frame; the root's maps the rest body into the target frame.
+        rotations: rotations of each joint in its parent's frame; the root's maps the rest body into the target frame.
         translations: added to everything [m]; the root turns about its own joint, as in SMPL.
-        rest_joints: of the person [m].
+        rest_joints: rest joints of the person [m].
     """
     count = rotations.shape[0]
     parents = constant(chosen(PARENT_OR_SELF, JOINT_COUNT), rest_joints.dtype, rest_joints.device)

@@ -1,4 +1,4 @@
-"""SMPL's model files as a `Body`: their many dialects, their relatives that are not SMPL, their damage."""
+"""SMPL's model files as a `Body`: variants of the format, other models and damage are recognised."""
 
 from pathlib import Path
 
@@ -107,7 +107,7 @@ def _floats(path: Path, arrays: Arrays, name: str, shape: tuple[int, ...]) -> Fl
 
 
 def _shape_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Array, "V 3 10"]:
-    """Files carry 10, 16 or 300 directions by falling variance."""
+    """Return the first ten shape directions; files have 10, 16 or 300 by falling variance."""
     given = arrays["shapedirs"]
     if given.ndim != 3 or given.shape[2] < SHAPE_COUNT:
         raise InputError(
@@ -119,7 +119,7 @@ def _shape_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Ar
 
 
 def _check_parents(path: Path, table: Shaped[Array, "..."]) -> None:
-    """The root's parent is -1, which files that store uint32 hold as 4294967295."""
+    """Check the parents; the root's is -1, which files of uint32 store as 4294967295."""
     if table.shape != (2, JOINT_COUNT):
         raise InputError(
             f"{path} is not a SMPL model: kintree_table has the shape {table.shape}, not (2, {JOINT_COUNT}); {_FIX}."
@@ -133,7 +133,7 @@ def _check_parents(path: Path, table: Shaped[Array, "..."]) -> None:
 def _surface(
     path: Path, arrays: Arrays, template: Float[Array, "V 3"], weights: Float[Array, "V 24"]
 ) -> tuple[Int[Array, "F 3"], Float[Array, "U 2"], Int[Array, "F 3"]]:
-    """(faces, uv, uv_faces), closed."""
+    """Return (faces, uv, uv_faces), closed."""
     faces = _indices(path, "f", arrays["f"], len(template))
     filling = fans(boundary_loops(faces))
     if not all(name in arrays for name in _TEXTURE):

@@ -1,6 +1,6 @@
 """A denser body: every triangle becomes four, on a smoother surface, with the same skeleton and the same texture.
 
-Synthetic truth is drawn from it, so that what is fitted is not the very polyhedron that made the picture.
+Synthetic truth is rendered from it, so that a fit does not use the very polyhedron that made the image.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ def subdivide(body: Body) -> Body:
     texture seams stay seams.
 
     Args:
-        body: to subdivide.
+        body: body to subdivide.
     """
     faces = body.mesh.faces.numpy()
     edge_of_side = _edges_of_sides(body.mesh)
@@ -58,7 +58,7 @@ def subdivide(body: Body) -> Body:
 
 
 def _edges_of_sides(mesh: Mesh) -> Int[Array, "F 3"]:
-    """For side k of each face, from its corner k to the next, the edge it belongs to."""
+    """Return the edge of side k of each face, from its corner k to the next."""
     faces, ends, owners = (table.numpy() for table in (mesh.faces, mesh.edge_vertices, mesh.edge_faces))
     edge_of_side = np.full(faces.shape, -1, np.int64)
     for owner in owners.T:
@@ -71,7 +71,7 @@ def _edges_of_sides(mesh: Mesh) -> Int[Array, "F 3"]:
 
 
 def _four_faces(faces: Int[Array, "F 3"], middles: Int[Array, "F 3"]) -> Int[Array, "F4 3"]:
-    """The corner triangles and the one between them, turned like the old face."""
+    """Return the corner triangles and the one between them, turned like the old face."""
     (a, b, c), (ab, bc, ca) = faces.T, middles.T
     parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
     return np.stack([np.stack(part, -1) for part in parts], 1).reshape(-1, 3)
@@ -80,7 +80,7 @@ def _four_faces(faces: Int[Array, "F 3"], middles: Int[Array, "F 3"]) -> Int[Arr
 def _butterfly(
     faces: Int[Array, "F 3"], edge_of_side: Int[Array, "F 3"], edges: int, vertices: int
 ) -> sparse.csr_array:
-    """What the butterfly scheme adds to the midpoint of each edge; nothing where a border is near."""
+    """Return the butterfly scheme's correction of each edge's midpoint; zero near a border."""
     # Both uses of every edge as sides (face * 3 + side); -1 where there is no second face.
     flat = edge_of_side.reshape(-1)
     order = np.argsort(flat, kind="stable")
@@ -117,13 +117,13 @@ def _sparse(columns: Int[Array, "E n"], weights: Array, vertices: int) -> sparse
 
 
 def _extend(rule: sparse.csr_array, values: Tensor) -> Tensor:
-    """Values per vertex, followed by those that a rule gives to the new ones."""
+    """Append the new vertices' values by a rule to those of the old ones."""
     new = rule @ values.flatten(1).double().numpy()
     return torch.cat([values, torch.from_numpy(new).to(values.dtype).unflatten(1, values.shape[1:])])
 
 
 def _subdivide_uv(mesh: Mesh) -> tuple[Array, Array]:
-    """(uv, uv_faces) with a coordinate more in the middle of every side, one for all faces of the same chart."""
+    """Return (uv, uv_faces) with a new coordinate in the middle of every side, shared by all faces of a chart."""
     uv, faces = mesh.uv.double().numpy(), mesh.uv_faces.numpy()
     starts, stops = faces.reshape(-1), np.roll(faces, -1, 1).reshape(-1)
     key = np.minimum(starts, stops) * len(uv) + np.maximum(starts, stops)

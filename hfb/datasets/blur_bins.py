@@ -1,4 +1,4 @@
-"""The blur-rate intervals of the paper's tables, and how the cases of a set are dealt to them. Light to import."""
+"""The blur-rate intervals of the paper's tables, and the distribution of cases over them. Light to import."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -13,7 +13,7 @@ BLUR_BINS: tuple[Interval, ...] = (
 """BT-AMASS, tables 1 and 2."""
 
 SINGLE_COUNTS: tuple[int, ...] = (123, 206, 154, 139, 106, 108, 81, 79, 76, 52)
-"""Pictures per interval in table 1."""
+"""Images per interval in table 1."""
 
 PAIR_COUNTS: tuple[int, ...] = (35, 39, 47, 42, 38, 32, 25, 19, 13, 15)
 """Videos per interval in table 2."""
@@ -32,7 +32,7 @@ def bins_of(name: SetName, frames: int) -> tuple[Interval, ...]:
     """Return the intervals by which a set is sorted.
 
     Args:
-        name: of the set.
+        name: name of the set.
         frames: blurred frames per case.
     """
     if name == "real":
@@ -46,7 +46,7 @@ def paper_counts(name: Literal["bt-amass", "bc-cape"], frames: int) -> tuple[int
     """Return the paper's cases per interval; it gives none for BC-CAPE: equally many there.
 
     Args:
-        name: of the set.
+        name: name of the set.
         frames: blurred frames per case.
     """
     if name == "bt-amass":
@@ -61,7 +61,7 @@ def bin_of_case(number: int, counts: Sequence[int]) -> int:
     case per interval, and does not depend on how many follow.
 
     Args:
-        number: of the case, from 1.
+        number: number of the case, from 1.
         counts: proportion of the intervals.
     """
     total, dealt, chosen = sum(counts), [0] * len(counts), 0
@@ -79,10 +79,10 @@ def wanted_interval(
     """Return the blur rates that case ``number`` may have; the whole range of the set for ``"natural"``.
 
     Args:
-        name: of the set.
+        name: name of the set.
         frames: blurred frames per case.
         fill: proportions of the intervals: the paper's, even, or whatever the motions give.
-        number: of the case, from 1.
+        number: number of the case, from 1.
     """
     bins = bins_of(name, frames)
     if fill == "natural":
@@ -95,7 +95,7 @@ def interval_of(blur_rate: float, bins: Sequence[Interval]) -> int | None:
     """Return the interval that contains a blur rate, its lower end included; None outside of all.
 
     Args:
-        blur_rate: of the case.
+        blur_rate: blur rate of the case.
         bins: intervals, ascending.
     """
     for index, (low, high) in enumerate(bins):

@@ -1,4 +1,4 @@
-"""How much the pictures of a case are blurred, frame by frame."""
+"""Blur rates of a case, frame by frame."""
 
 import numpy as np
 

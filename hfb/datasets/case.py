@@ -1,4 +1,4 @@
-"""A case on disk: what a user would have, and beside it what really happened.
+"""A case on disk: a user's files, and the truth beside them.
 
     case_0001/frame_0.png background.png clip.toml        what the methods see
               start_0.npz                                 the static estimate that every method starts from
@@ -19,10 +19,10 @@ from hfb.errors import InputError
 
 @dataclass(frozen=True)
 class Case:
-    """Where the files of one case lie, and the few facts by which cases are sorted.
+    """The files of one case, and the few facts by which cases are sorted.
 
     Attributes:
-        number: from 1, its place in the set.
+        number: number in the set, from 1.
         blur_rate: mean over the frames of |union of R_S(i)| / |R_S(1)| - 1.
         facts: the whole content of case.json.
     """
@@ -61,7 +61,7 @@ class Case:
         return [self.folder / f"matte_{index}.png" for index in range(self.frames)]
 
     def middle_paths(self) -> list[Path]:
-        """Per frame, the sharp frame in its middle; synthetic cases have none."""
+        """Return per frame the sharp frame in the middle of its exposure; synthetic cases have none."""
         return [self.folder / f"middle_{index}.png" for index in range(self.frames)]
 
     def sharp_paths(self) -> list[Path]:
@@ -73,7 +73,7 @@ def case_name(number: int) -> str:
     """Return the folder's name of a case.
 
     Args:
-        number: of the case, from 1.
+        number: number of the case, from 1.
     """
     return f"case_{number:04d}"
 
@@ -82,7 +82,7 @@ def load_case(folder: Path) -> Case:
     """Open a case folder.
 
     Args:
-        folder: of the case.
+        folder: the case's folder.
 
     Raises:
         InputError: no case lies there.

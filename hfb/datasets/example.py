@@ -1,4 +1,4 @@
-"""The embedded example: one blurred picture of our own body in motion, with its truth."""
+"""The embedded example: one blurred image of the embedded body in motion, with its truth."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ def write_example(folder: Path, seed: int = 0) -> ExamplePaths:
 
     Args:
         folder: written to; created where missing.
-        seed: of shape, clothes, room and noise.
+        seed: seed of shape, clothes, room and noise.
     """
     rng = np.random.default_rng(seed + _FIRST_DRAW)
     body = load_default_body()
@@ -121,7 +121,7 @@ def _truth(
 
 
 def _side_step(u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "S 24 3"], Float[Tensor, "S 3"]]:
-    """Poses (axis-angle, camera frame) and translations [m] of a person who steps aside and swings both arms."""
+    """Return poses (axis-angle, camera frame) and translations [m] of a person who steps aside and swings both arms."""
     eased = (_FROM + (_TO - _FROM) * (u + 0.12 * torch.sin(2 * torch.pi * u) / torch.pi))[:, None, None]
     start, end = axis_angle_to_quaternion(_key(_START)), axis_angle_to_quaternion(_key(_END))
     end = in_hemisphere_of(end, start)

@@ -1,4 +1,4 @@
-"""How pose networks err: they turn bones, alike along a limb, and into depth more than across the view."""
+"""A model of pose networks' errors: rotated bones, alike along a limb, larger in depth than across the view."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Array, Float, Tensor
 
 _ACROSS_VIEW = 0.2
-"""Turns that move a bone across the view, which a picture shows, relative to those into depth, which it hides."""
+"""Turns that move a bone across the view, which an image shows, relative to those into depth, which it hides."""
 _SHARED_BY_LIMB, _SHARED_BY_TORSO = 0.5, 0.7
 _SHARED_BY_FRAMES = 0.6
 _PROBE_RAD = 0.35
 _LEVELS = ((1, 2, 3, 13, 14), (4, 5, 6, 16, 17), (7, 8, 9, 18, 19), (10, 11, 12, 20, 21), (15, 22, 23))
 """Joints below the root, parents before children."""
 _ALLOWED_EXCESS = 2.0
-"""Of a joint's limit penalty: eight degrees beyond the range of motion, or as far as the person really went."""
+"""Largest limit penalty of a joint: eight degrees beyond the range of motion, or the person's own excess."""
 
 # Standard deviation of a joint's own turn, relative to the shoulder's.
 _SIZES = {
@@ -81,7 +81,7 @@ def draw_pose_errors(poses: Float[Tensor, "T 24 3"], rng: np.random.Generator) -
 
     Args:
         poses: the true ones, whose root turns the body into the camera's frame.
-        rng: of the errors.
+        rng: draws the errors.
     """
     return pose_errors(poses, draw_turns(len(poses), rng))
 
@@ -94,7 +94,7 @@ def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
 
     Args:
         frames: number of frames.
-        rng: of the errors.
+        rng: draws the errors.
     """
     common = _draw_turns(rng)
     turns = [
@@ -106,8 +106,8 @@ def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
 def pose_errors(poses: Float[Tensor, "T 24 3"], turns: Float[Array, "T 24 3"]) -> PoseErrors:
     """Convert drawn turns to errors of these poses, of one clip or of many.
 
-    What would move the bone across the view is damped, and more so the more the bone points at the camera, where no
-    turn is hidden. The root's turn is small: the torso is what a network sees best.
+    Turns that move the bone across the view are damped, the more the bone points at the camera, where no turn is
+    hidden. The root's turn is small, since networks see the torso best.
 
     Args:
         poses: the true ones, whose root turns the body into the camera's frame.
@@ -121,7 +121,7 @@ def pose_errors(poses: Float[Tensor, "T 24 3"], turns: Float[Array, "T 24 3"]) -
 
 
 def _draw_turns(rng: np.random.Generator) -> Float[Array, "24 3"]:
-    """Turns of all joints in camera axes, unit size for the shoulder."""
+    """Return turns of all joints in camera axes, unit size for the shoulder."""
     own = rng.standard_normal((JOINT_COUNT, 3))
     shared = {name: rng.standard_normal(3) for name in ("torso", "left_leg", "right_leg", "left_arm", "right_arm")}
     turns = np.empty((JOINT_COUNT, 3))
@@ -134,7 +134,7 @@ def _draw_turns(rng: np.random.Generator) -> Float[Array, "24 3"]:
 
 
 def _turned(poses: Float[Tensor, "T 24 3"], turns: Float[Tensor, "A T 24 3"]) -> Float[Tensor, "A T 24 3"]:
-    """Axis-angle of every joint after each bone was turned in camera axes."""
+    """Return axis-angles of every joint after turning each bone in camera axes."""
     rotations = axis_angle_to_matrix(turns) @ _global_rotations(poses)
     parents = rotations[:, :, list(PARENT_OR_SELF)].clone()
     parents[:, :, 0] = torch.eye(3)
@@ -150,7 +150,7 @@ def _global_rotations(poses: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3 3
 
 
 def _directions(poses: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-    """Unit vectors in camera axes along the bone that each joint turns."""
+    """Return unit vectors in camera axes along the bone that each joint turns."""
     rest = poses.new_zeros(JOINT_COUNT, 3)
     for joint, name in enumerate(JOINT_NAMES):
         part = name.rpartition("_")[2]
@@ -164,15 +164,15 @@ def _directions(poses: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
 
 
 def _excess_of_joints(poses: Float[Tensor, "N 24 3"]) -> Float[Tensor, "N 23"]:
-    """The anatomical limits' penalty of every joint below the root by itself: a rest pose breaks no limit."""
+    """Return the anatomical limits' penalty of every single joint below the root; the rest pose breaks no limit."""
     alone = torch.diag_embed(poses[:, 1:].transpose(-1, -2)).permute(0, 2, 3, 1)
     return AnatomicalPrior().limit_penalty(alone.flatten(0, 1)).unflatten(0, (-1, JOINT_COUNT - 1))
 
 
 def _into_range(poses: Float[Tensor, "T 24 3"], turns: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-    """Turns that would break a limit at an ordinary size are reversed where that breaks it less: a straight knee bends.
+    """Reverse turns that would break a joint limit, where the reverse breaks it less: a straight knee bends.
 
-    Joint after joint down the chains, since a joint's range is measured against its parent.
+    Joints are processed down the chains, since a joint's range is relative to its parent.
     """
     turns = _PROBE_RAD * turns
     for level in _LEVELS:

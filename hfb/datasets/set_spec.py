@@ -1,4 +1,4 @@
-"""What a synthetic set is: every choice that its cases depend on. Light to import."""
+"""The options of a synthetic set, which determine its cases. Light to import."""
 
 from pathlib import Path
 from typing import Literal
@@ -9,7 +9,7 @@ from hfb.config import Record
 
 
 class SetSpec(Record):
-    """A set of cases. A case is a function of this, its number and the motions that can be read."""
+    """A set of cases; it, the number and the usable motions determine a case."""
 
     set: Literal["bt-amass", "bc-cape"] = Field("bt-amass", description="textured AMASS motions, or clothed CAPE ones")
     frames: int = Field(1, ge=1, le=16, description="blurred frames per case")

@@ -1,7 +1,7 @@
-"""A static estimate per frame that errs as much as METRO's on the paper's BT-AMASS, blur rate by blur rate.
+"""Simulated static estimates with the errors of METRO on the paper's BT-AMASS, by blur rate.
 
 The paper starts every fit from METRO (Lin et al. 2021), whose weights are not free. Its tables 1 and 2 give METRO's
-errors: estimates with errors of that size let ratios stand beside the paper's.
+errors; with estimates of equal errors, ratios are comparable to the paper's.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
 from hfb.typing import Array, Float, Int, Tensor
 
-# METRO's rows of the paper's tables 1 (one picture) and 2 (two frames), per interval of `BLUR_BINS`.
+# METRO's rows of the paper's tables 1 (one image) and 2 (two frames), per interval of `BLUR_BINS`.
 _SINGLE_MPJPE_MM = (70.0, 71.9, 84.1, 101.2, 121.3, 121.4, 132.8, 143.4, 147.1, 146.4)
 _SINGLE_IOU = (0.632, 0.637, 0.615, 0.590, 0.540, 0.500, 0.489, 0.428, 0.421, 0.423)
 _PAIR_MPJPE_MM = (68.9, 69.6, 71.6, 67.0, 98.6, 99.6, 108.5, 111.3, 116.8, 121.1)
@@ -34,7 +34,7 @@ _CENTRES = tuple((low + high) / 2 for low, high in BLUR_BINS)
 _MPJPE_LOG_SPREAD, _IOU_SPREAD = 0.25, 0.06
 _INSTANT_MEAN, _INSTANT_SPREAD = 0.5, 0.15
 _AMPLITUDES = torch.linspace(0.06, 1.5, 25)
-"""Of the shoulder's turn [rad]; the first is the best a network ever does."""
+"""Amplitudes of the shoulder's turn [rad]; the first is the best that a network reaches."""
 _TRIES = 6
 _SHIFT_M, _LOG_DEPTH = 0.08, 0.035
 """Across the view, and along it as a share of the distance, where the misplacement is 1."""
@@ -48,16 +48,16 @@ def simulated_starts(
 ) -> list[FirstBody]:
     """Draw one static body per frame with METRO's error: MPJPE over all instants of the case, and silhouette IoU.
 
-    The body is the mean one (a network does not know the shape), as it was at some instant around the middle of the
-    exposure, with errors of `hfb.datasets.network_errors` that grow until the case has the MPJPE drawn for it, and
-    misplaced until it has the IoU. Where motion and shape alone are further off than that, the error is larger.
+    The body is the mean one (a network does not know the shape) in the pose of some instant around the middle of the
+    exposure. Errors of `hfb.datasets.network_errors` grow until the case has its drawn MPJPE, and it is misplaced until
+    it has its IoU. Where motion and shape alone exceed these, the error is larger.
 
     Args:
         truth: its betas count in the body's own space.
         frames: rows of the truth belong to frames 0 .. frames - 1.
-        blur_rate: of the case.
-        body: what the fit will use.
-        camera: of the truth's silhouettes.
+        blur_rate: blur rate of the case.
+        body: the model that the fit will use.
+        camera: camera of the truth's silhouettes.
         rng: the only source of chance; the same state gives the same bodies.
     """
     wanted = _draw_wanted(blur_rate, frames, rng)
@@ -89,9 +89,9 @@ def _draw_wanted(blur_rate: float, frames: int, rng: np.random.Generator) -> _Wa
 
 @lru_cache
 def _knots(means: tuple[float, ...]) -> tuple[float, ...]:
-    """Values at the intervals' centres between which straight lines have the given mean over each interval.
+    """Return values at the intervals' centres whose linear interpolation has the given mean over each interval.
 
-    The table's own values there would have its peaks and dips smoothed away.
+    The table's own values at the centres would smooth away its peaks and dips.
     """
     shares = np.stack(
         [
@@ -103,12 +103,12 @@ def _knots(means: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _between_bins(blur_rate: float, means: tuple[float, ...]) -> float:
-    """Straight lines over the blur rate with the given means per interval; constant beyond the outermost centres."""
+    """Interpolate linearly over the blur rate with the given means per interval; constant beyond the outer centres."""
     return float(np.interp(blur_rate, _CENTRES, _knots(means)))
 
 
 def _row_at(truth: Truth, frame: int, u: float) -> int:
-    """The true instant nearest to u of a frame's exposure."""
+    """Return the true instant nearest to u of a frame's exposure."""
     rows = truth.motion.rows_of(frame)
     return int(rows[round(u * (len(rows) - 1))])
 
@@ -116,9 +116,9 @@ def _row_at(truth: Truth, frame: int, u: float) -> int:
 def _poses_with_error(
     truth: Truth, rows: Int[Array, "T"], person: ShapedBody, wanted: _Wanted, rng: np.random.Generator
 ) -> Float[Tensor, "T 24 3"]:
-    """The true poses of some rows with errors, at the amplitude whose MPJPE is the drawn one.
+    """Return the true poses of some rows with errors, at the amplitude whose MPJPE is the drawn one.
 
-    Where the joints' limits keep the error below that at any amplitude, another error is drawn.
+    Another error is drawn where the joints' limits keep this one too small at any amplitude.
     """
     true_poses = torch.from_numpy(truth.motion.poses[rows]).float().unflatten(1, (24, 3))
     for _ in range(_TRIES):
@@ -142,7 +142,7 @@ def _joints(poses: Float[Tensor, "A T 24 3"], person: ShapedBody) -> Float[Array
 
 
 def _mpjpe_mm(still: Float[Array, "A T 24 3"], truth: Truth) -> Float[Array, "A"]:
-    """`hfb.evaluation.metrics.mpjpe_mm` of several still estimates at once."""
+    """Return `hfb.evaluation.metrics.mpjpe_mm` of several static estimates at once."""
     frame_index = truth.motion.frame_index
     source = (still - still[:, :, :1]).astype(np.float64)[:, frame_index]
     target = truth.motion.joints - truth.motion.joints[:, :1]
@@ -154,9 +154,9 @@ def _mpjpe_mm(still: Float[Array, "A T 24 3"], truth: Truth) -> Float[Array, "A"
 def _place(
     poses: Float[Tensor, "T 24 3"], true_joints: Float[Array, "T 24 3"], person: ShapedBody
 ) -> Float[Tensor, "T 3"]:
-    """SMPL translations that show the estimate's joints as large as the person's and at the same place in the picture.
+    """Return SMPL translations that give the estimate's joints the person's size and place in the image.
 
-    The depth takes up what the mean body is smaller or larger than the person.
+    The depth compensates the difference in size of the mean body and the person.
     """
     joints = torch.from_numpy(_joints(poses[None], person))[0].double()
     target = torch.from_numpy(true_joints)
@@ -173,14 +173,14 @@ def _place(
 
 
 def _spread(points: Float[Tensor, "T 24 2"]) -> Float[Tensor, "T"]:
-    """Root mean square distance from their centre."""
+    """Return root mean square distance from their centre."""
     return (points - points.mean(1, keepdim=True)).square().sum(-1).mean(1).sqrt()
 
 
 def _draw_misplacement(frames: int, rng: np.random.Generator) -> Float[Tensor, "T 3"]:
-    """Directions of misplacement: across the view, more sideways than up and down, and standard normal ones in depth.
+    """Draw directions of misplacement: across the view, more sideways than up and down, and standard normal in depth.
 
-    Shared by all frames for the greater part. Upright people stay upright: their feet and heads are seldom missed.
+    Most of it is common to all frames. Upright people stay upright, since networks seldom miss feet and heads.
     """
     angle = rng.uniform(0, 2 * pi) + 0.5 * rng.standard_normal(frames)
     depth = np.clip(sqrt(0.6) * rng.standard_normal() + sqrt(0.4) * rng.standard_normal(frames), -2, 2)
@@ -254,7 +254,7 @@ def _small_views(truth: Truth, camera: PinholeCamera, frames: int) -> _Views:
 
 
 def _lognormal_above(mean: float, spread: float, floor: float, draw: float) -> float:
-    """exp(mu + spread * draw) or the floor if that is higher, mu such that the mean over all draws is the given one.
+    """Return exp(mu + spread * draw) or the floor if that is higher, mu such that the mean over draws is the given one.
 
     E max(floor, X) = floor Phi((ln floor - mu) / s) + exp(mu + s^2 / 2) Phi((mu + s^2 - ln floor) / s).
     """

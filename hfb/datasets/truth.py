@@ -1,7 +1,7 @@
-"""truth.npz: what really happened in a case, for evaluation only.
+"""truth.npz: the true motion of a case, for evaluation only.
 
-A synthetic case knows the whole motion and every silhouette (`Truth`); real video knows where some joints were
-(`JointTruth`). The file's members tell which it is.
+A synthetic case has the whole motion and every silhouette (`Truth`); real video has the positions of some joints
+(`JointTruth`). The file's members determine the kind.
 """
 
 from dataclasses import dataclass
@@ -28,13 +28,14 @@ class Truth:
 
 @dataclass(frozen=True)
 class JointTruth:
-    """Where some joints of a person in a real video were.
+    """Positions of some joints of a person in a real video.
 
     Attributes:
         joints: camera coordinates [m]; NaN (all three numbers) where a joint is unknown at an instant.
         smpl_joints: the SMPL joints that they stand for, 0..23.
-        times_s: time since the first shutter opened [s]. frame_index: the frame each row belongs to.
-        names: of the joints, as their source calls them.
+        times_s: time since the first shutter opened [s].
+        frame_index: the frame each row belongs to.
+        names: names of the joints, as their source calls them.
     """
 
     joints: Float[Array, "R P 3"]
@@ -48,8 +49,8 @@ def save_truth(path: Path, truth: Truth) -> None:
     """Write a truth file whole or not at all: a motion file with one more member, silhouettes packed to bits.
 
     Args:
-        path: of the .npz.
-        truth: of one case.
+        path: the .npz file.
+        truth: the case's truth.
     """
     silhouettes = {
         "silhouettes": np.packbits(truth.silhouettes, axis=-1),
@@ -62,7 +63,7 @@ def load_truth(path: Path) -> Truth:
     """Read a truth file.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: not a truth file.
@@ -82,8 +83,8 @@ def save_joint_truth(path: Path, truth: JointTruth) -> None:
     """Write known joints whole or not at all (.npz, no pickle).
 
     Args:
-        path: of the .npz.
-        truth: of one case.
+        path: the .npz file.
+        truth: the case's truth.
     """
     write_arrays(
         path,
@@ -101,7 +102,7 @@ def load_joint_truth(path: Path) -> JointTruth:
     """Read the known joints of a real video.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: missing, damaged, or its members do not fit each other.
@@ -129,7 +130,7 @@ def load_truth_of(path: Path) -> Truth | JointTruth:
     """Read either kind of truth file.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: neither kind.
@@ -144,7 +145,7 @@ def load_truth_of(path: Path) -> Truth | JointTruth:
 
 
 def _what_does_not_fit(truth: JointTruth) -> str:
-    """Empty where rows, joints and names agree in number and every joint is one of SMPL's, once."""
+    """Describe a mismatch of rows, joints and names; empty where all match and every joint is one of SMPL's, once."""
     count = len(truth.names)
     if truth.joints.ndim != 3 or truth.joints.shape[1:] != (count, 3) or truth.smpl_joints.shape != (count,):
         return "joints, smpl_joints and names differ in number"

@@ -1,7 +1,7 @@
-"""Fits the few numbers by which a fit says how sure it is to fits whose truth is known.
+"""Calibration of confidence on fits whose truth is known.
 
-Errors within a case hang together, so every case counts as one, and figures of how well it works are taken on cases of
-recordings that the coefficients were not fitted to.
+Errors within a case are correlated, so every case counts as one, and the reliability is measured on cases of recordings
+that the coefficients were not fitted to.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _ODDS_RIDGE = 0.05
 
 @dataclass(frozen=True)
 class JointCase:
-    """One case's joints: what was known of them, and their errors.
+    """One case's joints: their features and errors.
 
     Attributes:
         recording: cases of one recording, or person, stay together when some are held out.
@@ -40,7 +40,7 @@ class JointCase:
 class DirectionCase:
     """One case's hypotheses: the evidence (columns: `EVIDENCE`), and their errors [mm].
 
-    Of one frame the second half of the hypotheses are the first half run backwards, in the same order.
+    For one frame the second half of the hypotheses are the first half reversed in time, in the same order.
     """
 
     recording: str
@@ -60,8 +60,8 @@ def fit_confidence(
     Args:
         cases: fits whose errors are known.
         names: the features to use.
-        exponent: of the law, where it is known already.
-        prior: whose coefficients they are pulled to, and keep where the cases say nothing; zero without one.
+        exponent: exponent of the law, where it is known already.
+        prior: model towards whose coefficients the fit is regularised; zero without one.
     """
     tables = [np.stack([case.features[name][:, 1:].ravel() for name in names], 1) for case in cases]
     errors = [np.maximum(case.errors_mm[:, 1:].ravel(), _SMALLEST_ERROR_MM) for case in cases]
@@ -99,15 +99,15 @@ def held_out_reliability(
 ) -> dict[str, float]:
     """Measure how calibrated and how sharp the radii are on recordings that the coefficients were not fitted to.
 
-    ``within_p50`` and its like: share of joints within the radius; ``off``: mean distance from what was said;
+    ``within_p50`` and so on: share of joints within the radius; ``off``: mean distance from the predicted share;
     ``rank``: Spearman's correlation of radius and error over all joints; ``rank_in_case``: its mean within the cases.
 
     Args:
         cases: fits whose errors are known.
         names: the features to use.
         folds: parts into which the recordings are split.
-        exponent: of the law, where it is known already.
-        prior: whose coefficients regularise the fit; zero without one.
+        exponent: exponent of the law, where it is known already.
+        prior: model towards whose coefficients the fit is regularised; zero without one.
     """
     shares, ranks, radii, errors = [], [], [], []
     for part in _folds([case.recording for case in cases], folds):
@@ -130,9 +130,9 @@ def held_out_reliability(
 def fit_direction_odds(cases: Sequence[DirectionCase]) -> dict[str, float]:
     """Fit coefficients of `EVIDENCE`, none below zero, to pairs of hypotheses of which one is nearer to the truth.
 
-    Logistic regression, each pair weighing as much as depends on it. Of one frame the picture's evidence is fitted on
-    hypotheses whose arrow of time does not count (the better of a motion and its reverse), what knows time's
-    arrow on each motion and its reverse; of several frames there is the first kind alone.
+    Logistic regression, each pair weighted by its difference in error. For one frame the image's evidence is fitted on
+    hypotheses regardless of the arrow of time (the better of a motion and its reverse), the evidence on time's arrow on
+    each motion and its reverse; for several frames there is only the first kind.
 
     Args:
         cases: fits whose errors are known.
@@ -150,7 +150,7 @@ Pairs = tuple[Float[Array, "P E"], Float[Array, "P"]]
 
 
 def _against_fitted(case: DirectionCase) -> Pairs:
-    """Differences of evidence and error of every other hypothesis from the motion as fitted."""
+    """Return differences of evidence and error of every other hypothesis from the motion as fitted."""
     evidence, errors = case.evidence, case.errors_mm
     if case.frames == 1:
         half = len(errors) // 2
@@ -164,7 +164,7 @@ def _against_reverse(case: DirectionCase) -> Pairs:
 
 
 def _logistic(pairs: Sequence[Pairs], columns: Sequence[int]) -> Float[Array, "_"]:
-    """Slopes >= 0 with P(the second is worse) = sigmoid(slopes . (its evidence - the first's))."""
+    """Fit slopes >= 0 with P(the second is worse) = sigmoid(slopes . (its evidence - the first's))."""
     counted = [(evidence[:, columns], errors, abs(errors) > _STAKE_MM) for evidence, errors in pairs]
     table = np.concatenate([(e * np.sign(d)[:, None])[m] for e, d, m in counted])
     stakes = np.concatenate([np.minimum(abs(d), _LARGEST_STAKE_MM)[m] / max(len(d), 1) for _, d, m in counted])
@@ -192,7 +192,7 @@ def reliability_of(model: ConfidenceModel, cases: Sequence[JointCase]) -> dict[s
 
 
 def _folds(recordings: Sequence[str], count: int) -> list[list[int]]:
-    """Numbers of the cases in parts, all cases of one recording in the same part."""
+    """Split the cases' numbers into parts, all cases of one recording in the same part."""
     order = {name: index % count for index, name in enumerate(sorted(set(recordings)))}
     parts = [[i for i, name in enumerate(recordings) if order[name] == part] for part in range(count)]
     return [part for part in parts if part and len(part) < len(recordings)]

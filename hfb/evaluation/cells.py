@@ -1,4 +1,4 @@
-"""Rows of results, one per case and method, and the cell of a table that some of them make."""
+"""Rows of results, one per case and method, and their aggregation to a table's cell."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -58,7 +58,7 @@ _COLUMNS = (
 
 
 RECORDED = ("recording", "source", "average")
-"""Columns that say what a case of real video was made from: the folder, the video, K."""
+"""Columns with the source of a case of real video: its folder, its video, K."""
 
 _STARTS = {
     "blur_rate": "blur_rate",
@@ -102,7 +102,7 @@ def within(cases: DataFrame, bins: Sequence[tuple[float, float]], index: int) ->
     Args:
         cases: rows of cases.parquet.
         bins: intervals of blur rates, ascending.
-        index: of the bin.
+        index: number of the bin.
     """
     return cases[cases["blur_rate"].between(*bins[index], inclusive="both" if index == len(bins) - 1 else "left")]
 
@@ -204,7 +204,7 @@ def is_start(cell: Mapping[str, Any]) -> bool:
     """Return whether a method left the start's error as it was in every case: the static estimate itself.
 
     Args:
-        cell: of the method, by `make_cell`.
+        cell: cell of the method, by `make_cell`.
     """
     return cell["ratio"] == 1 and cell["better_than_start"] == cell["worse_than_start"] == 0
 
@@ -233,7 +233,7 @@ def compare(one: DataFrame, other: DataFrame) -> Cell:
 
 
 def _pair(cases: DataFrame, before: str, after: str) -> tuple[Float[Array, "B"], Float[Array, "A"], bool]:
-    """Two columns over the cases that know both, and True; where no case does, each over what it knows, and False."""
+    """Return two columns over the cases that know both, and True; without any, each over its known cases, and False."""
     first, second = cases[before].to_numpy(), cases[after].to_numpy()
     both = np.isfinite(first) & np.isfinite(second)
     if both.any():
@@ -242,14 +242,14 @@ def _pair(cases: DataFrame, before: str, after: str) -> tuple[Float[Array, "B"],
 
 
 def _ratio(above: Float[Array, "C"], below: Float[Array, "C"]) -> tuple[float | None, list[float] | None]:
-    """Ratio of the means and its 95 % interval."""
+    """Return ratio of the means and its 95 % interval."""
     if not len(below) or below.mean() <= 0:
         return None, None
     return float(above.mean() / below.mean()), _interval(ratio_ci95(above, below))
 
 
 def _ratio_of(cases: DataFrame, above: str, below: str) -> tuple[float | None, list[float] | None]:
-    """Ratio of the means of two columns, over the cases that know both, and its 95 % interval."""
+    """Return the ratio of the means of two columns over the cases that know both, and its 95 % interval."""
     first, second, both = _pair(cases, above, below)
     return _ratio(first, second) if both else (None, None)
 

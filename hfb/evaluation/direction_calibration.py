@@ -1,6 +1,6 @@
-"""Fits how far the odds of directions can be trusted to fits whose truth is known, and counts how often they hold.
+"""Calibration of the odds of directions on fits whose truth is known, and their reliability.
 
-An event is one question with two answers: did the body, or a limb of it, move the way the result says in one frame?
+An event is the direction of the body, or of a limb, in one frame, which the result predicts rightly or wrongly.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,28 +18,30 @@ from hfb.fitting.direction_trust import SIGNS, Trust, group_probability, power_o
 from hfb.typing import Array, Bool, Float
 
 _LIMB_WEIGHT = 0.1
-"""Of a limb's event, where a body's has 1: limbs of a frame hang together, and with the body."""
+"""Weight of a limb's event, where a body's is 1: limbs of a frame are correlated with each other and with the body."""
 
 _COMMON, _COMMON_SPREAD, _KINDS_APART, _SLOPES = 0.73, 0.2, 0.15, 0.15
-"""In log odds: the doubt expected of all kinds of start, how well it is known, how far kinds lie apart, and what a sign
-of trouble adds, per spread of the sign. On motions that no prior had learned from what was said to be right in .6 to .8
-was right in .53 of cases: a doubt of 0.73."""
+"""Prior of the doubts in log odds: mean and spread over all kinds of start, spread of the kinds, and slope per spread
+of a sign. On motions that no prior had learned from, predictions of .6 to .8 were right in .53 of cases: a doubt of
+0.73."""
 
 _CERTAIN = 1e-3
 
 
 @dataclass(frozen=True)
 class DirectionEvent:
-    """One question and its answer.
+    """One predicted direction and whether it was right.
 
     Attributes:
         person: events of a person stay together when some are held out.
-        probability: of the hypotheses, before `hfb.fitting.direction_trust`.
+        probability: probability of the hypotheses, before `hfb.fitting.direction_trust`.
         grouped: `group_probability` of them.
         agrees: whether each says as the result.
-        right: whether the result was right. whole: about the body, not about a limb.
-        body_right: P(the body is right) in this frame; NaN where it hardly moves. signs: of the frame.
-        frames: of the fit.
+        right: whether the result was right.
+        whole: whether it concerns the body, not a limb.
+        body_right: P(the body is right) in this frame; NaN where it hardly moves.
+        signs: signs of the frame.
+        frames: number of the fit's frames.
     """
 
     person: str
@@ -60,8 +62,8 @@ def direction_events(
 
     Args:
         person: name, by which events are grouped.
-        alternatives: of the fit.
-        features: of the result, by name.
+        alternatives: alternatives of the fit.
+        features: features of the result, by name.
         true: the true joints at the rows' instants [m].
     """
     joints, frames = alternatives.joints[alternatives.chosen], int(alternatives.frame_index.max()) + 1
@@ -87,13 +89,13 @@ def direction_events(
 
 
 def _right(path: Float[Array, "S J 3"], true: Float[Array, "S J 3"]) -> bool:
-    """Whether a path, wherever it lies, is nearer to the true one than its reverse is."""
+    """Return whether a path, wherever it is, is nearer to the true one than its reverse is."""
     here, there = (one - one.mean(0) for one in (path, true))
     return bool(np.linalg.norm(here - there, axis=-1).sum() <= np.linalg.norm(here[::-1] - there, axis=-1).sum())
 
 
 class _Asked:
-    """Many events at once.
+    """Many events as arrays.
 
     Attributes:
         right: whether the results were right.
@@ -110,7 +112,7 @@ class _Asked:
         self.right = np.array([event.right for event in events], bool)
 
     def said(self, doubts: Float[Array, "n"]) -> Float[Array, "n"]:
-        """P(the result is right), where evidence has to overcome these doubts."""
+        """Return P(the result is right), where evidence has to exceed these doubts."""
         probability = temper(self._probability, self._grouped, power_of(self._body_right, doubts))
         return np.clip((self._agrees * probability).sum(1), _CERTAIN, 1 - _CERTAIN)
 
@@ -118,10 +120,10 @@ class _Asked:
 def fit_trust(events: Mapping[StartKind, Sequence[DirectionEvent]]) -> dict[StartKind, Trust]:
     """Fit the doubts by kind of start: a constant each, pulled to a common one, and common slopes of the signs.
 
-    Where little is known a kind's doubt stays near the common one.
+    With few events a kind's doubt stays near the common one.
 
     Args:
-        events: of fits whose truth is known, by kind of start.
+        events: events of fits whose truth is known, by kind of start.
     """
     kinds = [kind for kind, known in events.items() if known]
     every = [one for kind in kinds for one in events[kind]]
@@ -151,7 +153,7 @@ def said_and_right(events: Sequence[DirectionEvent], trust: Trust | None) -> tup
     """Return the predicted probability of each event, and whether the prediction was right.
 
     Args:
-        events: of fits whose truth is known.
+        events: events of fits whose truth is known.
         trust: corrects the odds; None leaves them as they are.
     """
     if not events:
@@ -168,7 +170,7 @@ def reliability_groups(
     Args:
         said: predicted probabilities.
         right: whether each prediction was right.
-        edges: of the groups, ascending.
+        edges: edges of the groups, ascending.
     """
     place = np.digitize(said, edges[1:-1])
     groups = [place == index for index in range(len(edges) - 1)]

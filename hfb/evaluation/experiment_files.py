@@ -1,4 +1,4 @@
-"""Where the paper's experiments lie; light to import, so that a misspelt name is told at once."""
+"""Files of the paper's experiments; light to import, so that a misspelt name is reported at once."""
 
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -17,7 +17,7 @@ def experiment_file(name: str) -> Traversable:
     """Return the file of one of the paper's tables or figures, such as ``table1``.
 
     Args:
-        name: such as ``table1``.
+        name: name such as ``table1``.
 
     Raises:
         InputError: there is none of that name.

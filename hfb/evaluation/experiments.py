@@ -1,4 +1,4 @@
-"""The paper's tables and figures as data: what to run for each, its numbers, and ours beside them."""
+"""The paper's tables and figures as data: methods to run, the paper's numbers, and ours beside them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DIGITS: Mapping[Metric, int] = {"mpjpe_mm": 1, "pa_mpjpe_mm": 1, "iou": 3}
 
 
 class Column(Record):
-    """A column of the paper's table: its heading, our interval of blur rates, its cases where the paper says them."""
+    """A column of the paper's table: its heading, our interval of blur rates, its number of cases where stated."""
 
     label: str
     blur: tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(gt=0)]]
@@ -38,7 +38,7 @@ class Column(Record):
 
 
 class PaperRow(Record):
-    """A row of the paper's table, and which of our methods stand beside it."""
+    """A row of the paper's table, and our methods that correspond to it."""
 
     name: str
     ours: tuple[str, ...] = ()
@@ -52,7 +52,7 @@ class PaperRow(Record):
 
 
 class Strips(Record):
-    """Which pictures stand beside a figure: of how many cases, by which methods, from which blur rates."""
+    """The image strips beside a figure: number of cases, methods and blur rates."""
 
     methods: tuple[str, ...] = Field(min_length=1)
     cases: int = Field(ge=1)
@@ -64,11 +64,12 @@ class Experiment(Record):
     """One table or figure of the paper, as a run of the benchmark.
 
     Attributes:
-        place, label: its number in the paper, counted in the order of the source, and its name there.
+        place: its number in the paper, counted in the order of the source.
+        label: its name there.
         count: cases of the paper (of ours, where it does not say).
-        methods: what runs by default; ``chains`` need networks or files that only a user can have.
+        methods: methods that run by default; ``chains`` need networks or files that only a user can have.
         start: the paper's row that HfB starts from, where the table has one.
-        differs: what keeps the two sides from being the same experiment, a sentence each.
+        differs: differences between the two experiments, a sentence each.
     """
 
     title: str
@@ -127,7 +128,7 @@ def find_experiment(name: str) -> Experiment:
     """Read one of the paper's tables or figures by its name, such as ``table1``.
 
     Args:
-        name: such as ``table1``.
+        name: name such as ``table1``.
 
     Raises:
         InputError: there is none of that name.
@@ -153,7 +154,7 @@ def beside_paper(experiment: Experiment, summary: Mapping[str, Any]) -> str:
 
     Args:
         experiment: the paper's table or figure.
-        summary: of a run of this experiment, as `summarize` returns it; its intervals need not be the columns.
+        summary: summary of a run of this experiment, by `summarize`; its intervals need not be the columns.
     """
     parts = [
         f"# {experiment.place}: {experiment.title}",
@@ -185,7 +186,7 @@ def papers_ratios(experiment: Experiment, summary: Mapping[str, Any]) -> list[fl
 
     Args:
         experiment: the paper's table or figure.
-        summary: of our run, by `summarize`.
+        summary: summary of our run, by `summarize`.
     """
     rows = [row for row in experiment.rows if "best" in row.ours and row.mpjpe_mm and row.name != experiment.start]
     start = _start_values(experiment, "mpjpe_mm")
@@ -196,13 +197,13 @@ def papers_ratios(experiment: Experiment, summary: Mapping[str, Any]) -> list[fl
 
 
 def _pairs(experiment: Experiment, summary: Mapping[str, Any], metric: Metric) -> list[tuple[PaperRow, str]]:
-    """The paper's rows but the start's, each with every method of ours beside it that was run."""
+    """Return the paper's rows but the start's, each with every corresponding method of ours that was run."""
     rows = [row for row in experiment.rows if metric in row.metrics() and row.name != experiment.start]
     return [(row, ours) for row in rows for ours in row.ours if ours in summary["methods"]]
 
 
 def _in_short(experiment: Experiment, summary: Mapping[str, Any]) -> str:
-    """All cases: a line per pair and metric."""
+    """Return all cases: a line per pair and metric."""
     header = ["metric", "the paper's", "its start", "its result", "its ratio"]
     header += ["ours", "n", "our start", "our result", "our ratio"]
     lines = []
@@ -225,7 +226,7 @@ def _in_short(experiment: Experiment, summary: Mapping[str, Any]) -> str:
 
 
 def _pair(experiment: Experiment, summary: Mapping[str, Any], row: PaperRow, ours: str, metric: Metric) -> str:
-    """One method of ours beside one row of the paper: a line per column, and all."""
+    """Return one method of ours beside one row of the paper: a line per column, and one for all."""
     digits, start = _DIGITS[metric], _start_values(experiment, metric)
     theirs, before = _with_mean(experiment, getattr(row, metric)), _with_mean(experiment, start) if start else None
     header = ["blur rate", "n, paper", *([str(experiment.start)] if before else []), row.name]
@@ -245,20 +246,20 @@ def _pair(experiment: Experiment, summary: Mapping[str, Any], row: PaperRow, our
 
 
 def _ratio_text(cell: Mapping[str, Any], metric: Metric) -> str:
-    """A cell's ratio to the start with its interval, as far as it has one of this metric."""
+    """Return a cell's ratio to the start with its interval, as far as it has one of this metric."""
     ratio, count = _RATIOS.get(metric, ""), "n_pa" if metric == "pa_mpjpe_mm" else "n_pose"
     return number(cell.get(ratio), 3) + interval(cell.get(f"{ratio}_ci95"), 2, cell.get(count, 0))
 
 
 def _papers_counts(experiment: Experiment) -> list[str]:
-    """Cases per column and in all, as far as the paper says them."""
+    """Return the paper's cases per column and in all, as far as it gives them."""
     counts = [column.n for column in experiment.columns]
     total = UNKNOWN if None in counts else str(sum(n for n in counts if n))
     return [*(UNKNOWN if n is None else str(n) for n in counts), total]
 
 
 def _in_the_papers_shares(experiment: Experiment, summary: Mapping[str, Any], ours: str, metric: Metric) -> str:
-    """Our means as they would be with the paper's share of cases in each column."""
+    """Return our means weighted with the paper's share of cases in each column."""
     cells = _cells(experiment, summary, ours)[:-1]
     fitted = [cell[metric] for cell in cells if cell.get(metric) is not None]
     initial = [cell[f"initial_{metric}"] for cell in cells if cell.get(f"initial_{metric}") is not None]
@@ -270,7 +271,7 @@ def _in_the_papers_shares(experiment: Experiment, summary: Mapping[str, Any], ou
 
 
 def _all_rows(experiment: Experiment, summary: Mapping[str, Any], metric: Metric) -> str:
-    """The paper's table with our rows below those they belong to."""
+    """Return the paper's table with our rows below the corresponding ones."""
     lines = [["n, paper", *_papers_counts(experiment)]]
     for row in experiment.rows:
         if metric in row.metrics():
@@ -286,7 +287,7 @@ def _all_rows(experiment: Experiment, summary: Mapping[str, Any], metric: Metric
 
 
 def _against_start(experiment: Experiment, summary: Mapping[str, Any]) -> list[str]:
-    """Where the paper's start row is not what our fits start from: the comparison with our row of it."""
+    """Return our comparisons with the methods that correspond to the paper's start row."""
     start = experiment.start_row()
     lines = []
     for reference in start.ours if start else ():
@@ -299,19 +300,19 @@ def _against_start(experiment: Experiment, summary: Mapping[str, Any]) -> list[s
 
 
 def _cells(experiment: Experiment, summary: Mapping[str, Any], method: str) -> list[Mapping[str, Any]]:
-    """A method's cell for every column, and for all."""
+    """Return a method's cell for every column, and for all."""
     cells = summary["methods"][method]
     return [*_by_column(experiment, cells["bins"]), cells["all"]]
 
 
 def _by_column(experiment: Experiment, bins: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The cell of every column; empty where the summary has other intervals."""
+    """Return the cell of every column; empty where the summary has other intervals."""
     by_interval = {blur_label(cell["blur"]): cell for cell in bins}
     return [by_interval.get(blur_label(column.blur), {}) for column in experiment.columns]
 
 
 def _start_values(experiment: Experiment, metric: Metric) -> tuple[float, ...] | None:
-    """What the paper's HfB starts from, where its table says that."""
+    """Return the start of the paper's HfB, where its table gives it."""
     row = experiment.start_row()
     return getattr(row, metric) if row else None
 

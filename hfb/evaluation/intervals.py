@@ -17,7 +17,7 @@ from scipy import stats
 from hfb.typing import Array, Float
 
 FEWEST_CASES = 6
-"""Below it nothing holds the truth in 95 % of draws, so there is no interval."""
+"""Smallest number of cases: below it no interval contains the truth in 95 % of draws."""
 
 _TAIL = 0.975
 

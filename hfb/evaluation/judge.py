@@ -1,4 +1,4 @@
-"""The judge: every number by which one answer to one case is compared with the truth and with the pictures."""
+"""Scores of one prediction of one case, against the truth and the images."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -38,7 +38,7 @@ Scores = dict[str, Any]
 _PELVIS, _HIPS = 0, (1, 2)
 _SSIM_WINDOW_PX = 11
 _PLACES_IN_SPACE = ("in_plane_px", "motion_mm", "better_motion_mm")
-"""What is known only of a body that has a place in front of the camera, not of joints about their root."""
+"""Errors that need places in front of the camera; joints about their root have none."""
 
 
 def judge(
@@ -51,11 +51,11 @@ def judge(
     """Score a prediction against the truth at the nearest instants and against the images.
 
     Args:
-        prediction: of one method.
+        prediction: one method's prediction.
         observation: the blurred frames with their mattes and clock.
-        truth: of the case.
+        truth: the case's truth.
         body: the model in which the prediction's poses are given.
-        sharp: the true sub-frames at u = i / 7, for the pictures' scores.
+        sharp: the true sub-frames at u = i / 7, for the images' scores.
 
     Returns:
         the numbers of a row of cases.parquet; None where the method, or the truth, does not say.
@@ -92,7 +92,7 @@ def judge_start(starts: Sequence[FirstBody], observation: Observation, truth: Tr
     Args:
         starts: first body of each frame.
         observation: the blurred frames with their mattes and clock.
-        truth: of the case.
+        truth: the case's truth.
         body: model of the starts.
     """
     frames = observation.mattes.shape[0]
@@ -135,7 +135,7 @@ def _movement_scores(
     observation: Observation,
     is_placed: bool,
 ) -> Scores:
-    """Real video's few true instants are compared where they are, a dense truth at the answer's own instants."""
+    """Score position, front and motion: at the truth's instants for real video, else at the prediction's."""
     rows = np.arange(len(joints)).reshape(observation.mattes.shape[0], -1)
     known = np.flatnonzero(np.isfinite(joints).all((0, 2)))
     if isinstance(truth, JointTruth):
@@ -153,7 +153,7 @@ def _movement_scores(
 
 
 def _said(prediction: Prediction, truth: Truth | JointTruth) -> Scores:
-    """What the method said of its own errors; real video's few joints are no measure of it."""
+    """Score the method's predicted errors; real video's few joints are not used for it."""
     said: Scores = {} if prediction.alternatives is None else dict(direction_row(prediction.alternatives))
     motion = prediction.motion
     if motion is not None and motion.joint_radius_mm is not None and isinstance(truth, Truth):
@@ -165,7 +165,7 @@ def _said(prediction: Prediction, truth: Truth | JointTruth) -> Scores:
 def _known_joints(
     joints: Float[Array, "R 24 3"], true: Float[Array, "R P 3"], numbers: Int[Array, "P"], frames: int
 ) -> Scores:
-    """Where one side knows only some joints; without the pelvis the middle of the hips is the centre."""
+    """Return errors where one side has only some joints; without the pelvis the middle of the hips is the centre."""
     positions = {int(number): place for place, number in enumerate(numbers)}
     centre = [_PELVIS] if _PELVIS in positions else list(_HIPS)
     centres = [positions[number] for number in centre if number in positions]
@@ -192,7 +192,7 @@ def _known_joints(
 
 
 def _silhouettes(prediction: Prediction, body: Body, truth: Truth) -> Bool[Array, "R H W"] | None:
-    """What the method covers at each of its instants."""
+    """Return the method's silhouettes at each of its instants."""
     if prediction.silhouettes is not None or prediction.motion is None:
         return prediction.silhouettes
     motion = prediction.motion
@@ -206,7 +206,7 @@ def _silhouettes(prediction: Prediction, body: Body, truth: Truth) -> Bool[Array
 
 
 def _explained(pictures: Float[Array, "R H W 4"], observation: Observation) -> Scores:
-    """How well the re-blurred pictures explain those that were seen."""
+    """Return how well the re-blurred images explain the frames."""
     frames = observation.mattes.shape[0]
     blurred = pictures.reshape(frames, -1, *pictures.shape[1:]).mean(1)
     return dict(picture_scores(torch.from_numpy(blurred), observation))
@@ -215,7 +215,7 @@ def _explained(pictures: Float[Array, "R H W 4"], observation: Observation) -> S
 def _sharp_scores(
     pictures: Float[Array, "R H W 4"], sharp: Float[Array, "T 8 H W 4"], observation: Observation
 ) -> Scores:
-    """PSNR and SSIM of the claimed sub-frames against the true ones, over the plate, within the true person's box."""
+    """Return PSNR and SSIM of the predicted sub-frames against the true ones, over the plate, in the person's box."""
     times_s = _clock(len(pictures), observation)
     true = sharp.reshape(-1, *sharp.shape[2:])
     claimed = pictures[_nearest(_clock(len(true), observation), times_s)]
@@ -242,7 +242,7 @@ def _nearest(times_s: Float[Array, "R"], of_s: Float[Array, "Q"]) -> Int[Array, 
 
 
 def _finite(value: Any) -> Any:
-    """None for a number that is none."""
+    """Return None for a value that is not finite."""
     if isinstance(value, list):
         return [_finite(one) for one in value]
     return value if value is None or np.isfinite(value) else None

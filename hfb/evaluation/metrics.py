@@ -1,4 +1,4 @@
-"""How far a motion is from the truth, and a picture from the one it explains.
+"""Metrics of motions against the truth, and of images.
 
 Joints are SMPL's 24 in metres, camera coordinates; R counts sub-frames, frame after frame. Everything is computed
 in float64, errors are in millimetres. A real video's truth knows only some joints, and those not always:
@@ -34,7 +34,7 @@ def mpjpe_mm(
     Args:
         predicted: joints [m].
         truth: joints [m], at the same instants.
-        joints: over which the mean is taken (the alignment uses all); every joint when not given.
+        joints: joints over which the mean is taken (the alignment uses all); every joint when not given.
     """
     return _mean_mm(_aligned_residual(predicted, truth), joints)
 
@@ -47,7 +47,7 @@ def pa_mpjpe_mm(
     Args:
         predicted: joints [m].
         truth: joints [m], at the same instants.
-        joints: over which is aligned and averaged; every joint when not given.
+        joints: joints over which is aligned and averaged; every joint when not given.
     """
     chosen = slice(None) if joints is None else list(joints)
     source, target = _float64(predicted)[:, chosen], _float64(truth)[:, chosen]
@@ -87,11 +87,12 @@ def errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) ->
 
 @dataclass(frozen=True)
 class SubsetErrors:
-    """Errors over the joints that the truth knows [mm]; NaN where it knows too little to tell.
+    """Errors over the joints that the truth knows [mm]; NaN where it knows too few of them.
 
     Attributes:
-        mpjpe_mm, in_plane_mm, depth_mm: after one rotation of the sequence, centred as asked, over the sub-frames in
-            which the centre is known.
+        mpjpe_mm: after one rotation of the sequence, over the sub-frames in which the centre is known.
+        in_plane_mm: the part of these errors across the view.
+        depth_mm: the part along it.
         pa_mpjpe_mm: after a similarity per sub-frame, over those with three known joints or more.
         joints_mm: MPJPE joint by joint.
     """
@@ -191,13 +192,17 @@ def better_of_both(
 
 @dataclass(frozen=True)
 class MotionErrors:
-    """What a results table needs of one clip; all lengths in mm.
+    """Errors of one clip for a results table; all lengths in mm.
 
     Attributes:
-        mpjpe_mm, pa_mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
-        mpjpe_14_mm, pa_mpjpe_14_mm: over the 14 joints shared with Human3.6M.
-        better_mpjpe_mm, better_pa_mpjpe_mm: in the better direction of time, chosen frame by frame.
-        in_plane_mm, depth_mm: MPJPE's residuals across and along the view.
+        mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
+        pa_mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
+        mpjpe_14_mm: over the 14 joints shared with Human3.6M.
+        pa_mpjpe_14_mm: over the 14 joints shared with Human3.6M.
+        better_mpjpe_mm: in the better direction of time, chosen frame by frame.
+        better_pa_mpjpe_mm: in the better direction of time, chosen frame by frame.
+        in_plane_mm: MPJPE's residuals across and along the view.
+        depth_mm: MPJPE's residuals across and along the view.
         wrong_direction: share of frames that would be nearer to the truth with their time reversed.
     """
 
@@ -280,7 +285,7 @@ def psnr_db(
     Args:
         predicted: image in [0, 1].
         truth: true image in [0, 1].
-        mask: weight per pixel, such as the matte; the whole picture when not given, or when it is empty.
+        mask: weight per pixel, such as the matte; the whole image when not given, or when it is empty.
     """
     squared = ((_float64(predicted) - _float64(truth)) ** 2).mean(-1)
     weighted = mask is not None and mask.sum() > 0
@@ -299,10 +304,10 @@ def ssim(
         predicted: image in [0, 1].
         truth: true image in [0, 1].
         mask: weight per pixel of the map of similarities, such as the matte; when not given, or when it is empty, the
-            mean is over the picture but for a rim of half a window.
+            mean is over the image but for a rim of half a window.
 
     Raises:
-        ValueError: a picture smaller than the window.
+        ValueError: an image smaller than the window.
     """
     if min(predicted.shape[:2]) < 2 * _SSIM_RIM_PX + 1:
         raise ValueError(f"a picture of {predicted.shape[1]} x {predicted.shape[0]} px is smaller than SSIM's window")
@@ -333,7 +338,7 @@ def _aligned_residual(
 ) -> Array:
     """Return predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
 
-    The rotation is the best one for the counted joints; the residual of others means nothing.
+    The rotation is the best one for the counted joints; the residuals of other joints are meaningless.
     """
     source, target = _float64(predicted), _float64(truth)
     source = source - source[:, centre].mean(1, keepdims=True)
@@ -344,7 +349,7 @@ def _aligned_residual(
 
 
 def _mean_of_known(values: Array) -> float:
-    """Mean without the NaN; NaN of none."""
+    """Return the mean without NaN; NaN of no value."""
     known = np.isfinite(values)
     return float(values[known].mean()) if known.any() else math.nan
 

@@ -1,4 +1,4 @@
-"""How far two motions are from each other, such as a run's and its repetition's."""
+"""Distance of two motions, such as a run's and its repetition's."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,10 @@ class MotionDifference:
 
     Attributes:
         bit_equal: every array of the two is the same, bit for bit.
-        mean_mm, max_mm: over joints and instants; None where the two share no frame.
-        instants_s, joints_mm: when the shared instants were [s, the first motion's clock], and the distances there.
+        mean_mm: mean over joints and instants; None where the two share no frame.
+        max_mm: largest distance; None where the two share no frame.
+        instants_s: the shared instants [s], on the first motion's clock.
+        joints_mm: distances at these instants.
     """
 
     bit_equal: bool
@@ -29,8 +31,8 @@ class MotionDifference:
 def motion_difference(one: SampledMotion, other: SampledMotion) -> MotionDifference:
     """Compare two motions at the first one's instants, in the frames that both have.
 
-    A motion with other sub-frames is read between its own, along straight lines within each frame's exposure; both
-    clocks run from the opening of a frame's shutter to its end.
+    A motion with other sub-frames is interpolated linearly within each frame's exposure; both clocks run from the
+    opening of a frame's shutter to its end.
 
     Args:
         one: the motion whose instants are used.
@@ -50,7 +52,7 @@ def motion_difference(one: SampledMotion, other: SampledMotion) -> MotionDiffere
 
 
 def _beside(one: SampledMotion, other: SampledMotion, frame: int) -> Float[Array, "S 24 3"]:
-    """The other motion's joints at one motion's instants of a frame."""
+    """Return the other motion's joints at one motion's instants of a frame."""
     mine, theirs = one.rows_of(frame), other.rows_of(frame)
     joints = other.joints[theirs].astype(np.float64)
     if len(mine) == len(theirs):
@@ -67,7 +69,7 @@ def _shares(times_s: Float[Array, "S"]) -> Float[Array, "S"]:
 
 
 def _same(one: SampledMotion, other: SampledMotion) -> bool:
-    """Bit for bit: the sign of a zero counts, and NaN equals NaN."""
+    """Return whether two motions are equal bit for bit: the sign of a zero counts, and NaN equals NaN."""
     mine, theirs = motion_arrays(one, ""), motion_arrays(other, "")
     return mine.keys() == theirs.keys() and all(
         mine[name].shape == theirs[name].shape

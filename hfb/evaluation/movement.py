@@ -1,9 +1,8 @@
-"""How well an answer shows where the body is in the picture, which way it faces, and how it moves.
+"""Errors of position in the image, of depth, of facing direction and of motion.
 
-MPJPE is nearly blind to what a motion is: a body held still has most of a good score. These figures tell apart what the
-picture shows (pixels), what it shows badly (depth, lean, front) and the motion itself. All are of the joints that both
-sides know; R counts instants, frame after frame; camera coordinates [m]. The camera is taken to be level: its y axis is
-the vertical.
+MPJPE hardly depends on the motion: a still body has a low error. These errors separate what an image shows (pixels),
+what it shows poorly (depth, lean, front) and the motion. They use the joints that both sides know. R counts instants,
+frame after frame. Joints are in camera coordinates [m]. The camera is assumed level: its y axis is the vertical.
 """
 
 import math
@@ -21,24 +20,22 @@ _HIPS = (JOINT_NAMES.index("left_hip"), JOINT_NAMES.index("right_hip"))
 _SHOULDERS = (JOINT_NAMES.index("left_shoulder"), JOINT_NAMES.index("right_shoulder"))
 _PELVIS = 0
 _LEAST_LEAN = 0.3
-"""Share of the trunk that must lie in the plane of the vertical and the depth: of a body that lies across the view no
-lean can be told."""
+"""Smallest share of the trunk's length in the vertical-depth plane; below it the lean is undefined."""
 
 
 @dataclass(frozen=True)
 class MovementErrors:
-    """NaN where the truth knows too little to tell.
+    """Errors of one case; NaN where the truth knows too few joints or instants.
 
     Attributes:
         in_plane_px: distance of projected joints, nothing aligned.
         ray_depth_mm: error along the ray through the true joint, with the root of both in one place.
         lean_deg: angle between both trunks (hips to shoulders) in the plane of the vertical and the depth.
-        front_wrong: share of frames whose body faces more than 90 degrees away from the true one, about the vertical.
-        spin_deg: largest turn about the vertical from one frame to the next that the truth does not make; NaN of one
-            frame.
-        motion_mm: distance of joints once each joint's mean over the exposure is taken from both paths.
-        better_motion_mm: the same with the time of those frames reversed that are nearer so.
-        still_motion_mm: what a still body has for ``motion_mm``: the truth's own motion.
+        front_wrong: share of frames whose heading differs by more than 90 degrees from the true one.
+        spin_deg: largest error of the change of heading between neighbouring frames; NaN of one frame.
+        motion_mm: distance of joints after each joint's mean over the exposure is subtracted from both paths.
+        better_motion_mm: the same with time reversed in the frames in which that lowers it.
+        still_motion_mm: ``motion_mm`` of a still body, which is the amount of true motion.
         path_mm, true_path_mm: mean length of the joints' paths about the root during an exposure.
     """
 
@@ -61,14 +58,14 @@ def movement_errors(
     frame_index: Int[Array, "R"],
     camera: PinholeCamera,
 ) -> MovementErrors:
-    """Compare at the same instants.
+    """Return the errors of joints given at the same instants as the truth.
 
     Args:
-        claimed: finite.
-        true: NaN where a joint is unknown at an instant.
-        joints: which of SMPL's each of the P is.
-        frame_index: the exposure that each instant belongs to.
-        camera: of the pictures whose pixels are meant.
+        claimed: estimated joints, finite.
+        true: true joints; NaN where unknown.
+        joints: SMPL's number of each joint.
+        frame_index: frame of each instant.
+        camera: camera of the frames.
     """
     known = np.isfinite(true).all(-1)
     claimed, true = np.where(known[..., None], claimed, np.nan), np.where(known[..., None], true, np.nan)
@@ -97,14 +94,20 @@ def movement_errors(
 def at_instants(
     joints: Float[Array, "S J 3"], times_s: Float[Array, "S"], at_s: Float[Array, "R"]
 ) -> Float[Array, "R J 3"]:
-    """The joints of one exposure at other instants of it, on straight lines between its own."""
+    """Interpolate the joints of one exposure linearly in time.
+
+    Args:
+        joints: at the known instants.
+        times_s: the known instants, increasing.
+        at_s: the wanted instants.
+    """
     flat = joints.reshape(len(joints), -1)
     columns = [np.interp(at_s, times_s, column) for column in flat.T]
     return np.stack(columns, 1).reshape(len(at_s), *joints.shape[1:])
 
 
 def _root(joints: Float[Array, "R P 3"], place: dict[int, int]) -> Float[Array, "R 1 3"]:
-    """The pelvis, or the middle of the hips; NaN where neither is known."""
+    """Return the pelvis, or the middle of the hips; NaN where neither is known."""
     if _PELVIS in place:
         return joints[:, place[_PELVIS]][:, None]
     return _middle(joints, place, _HIPS)[:, None]
@@ -119,7 +122,7 @@ def _joint(joints: Float[Array, "R P 3"], place: dict[int, int], joint: int) -> 
 
 
 def _pixels(joints: Float[Array, "R P 3"], camera: PinholeCamera) -> Float[Array, "R P 2"]:
-    """NaN where unknown or not in front of the lens."""
+    """Project joints; NaN where unknown or not in front of the lens."""
     ahead = np.where(joints[..., 2:] > 0.05, joints, np.nan)
     return camera.project(torch.from_numpy(ahead)).numpy()
 
@@ -130,16 +133,16 @@ def _along_rays(vectors: Float[Array, "R P 3"], points: Float[Array, "R P 3"]) -
 
 
 def _lean(joints: Float[Array, "R P 3"], place: dict[int, int]) -> Float[Array, "R"]:
-    """Angle of the trunk from the vertical towards the camera [deg]."""
+    """Return the angle between trunk and vertical, positive towards the camera [deg]."""
     trunk = _middle(joints, place, _SHOULDERS) - _middle(joints, place, _HIPS)
     within = np.hypot(trunk[:, 1], trunk[:, 2]) >= _LEAST_LEAN * np.linalg.norm(trunk, axis=1)
     return np.where(within, np.degrees(np.arctan2(-trunk[:, 2], -trunk[:, 1])), np.nan)
 
 
 def _heading(joints: Float[Array, "S P 3"], place: dict[int, int]) -> float:
-    """Which way the trunk faces, about the vertical [deg], 0 towards the camera; over a whole exposure.
+    """Return the mean heading about the vertical [deg], 0 towards the camera.
 
-    From the person's left-right axis, which tells the front of whoever stands, sits or bends.
+    The left-right axis of hips and shoulders gives it, which does not depend on how far the person bends forward.
     """
     axes = [_joint(joints, place, left) - _joint(joints, place, right) for left, right in (_HIPS, _SHOULDERS)]
     rows = np.concatenate(axes)
@@ -155,7 +158,7 @@ def _wrapped(degrees: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def _motion_mm(claimed: Float[Array, "S P 3"], true: Float[Array, "S P 3"]) -> float:
-    """Mean distance of both motions about their own means; NaN where no joint is known at two instants."""
+    """Return the mean distance of two motions about their means; NaN where no joint is known at two instants."""
     known: Bool[Array, "S P"] = np.isfinite(claimed).all(-1) & np.isfinite(true).all(-1)
     counted = known & (known.sum(0) >= 2)
     if not counted.any():

@@ -1,4 +1,4 @@
-"""Parts of table.md: pixels, depth, front and motion by method, camera and blur rate; errors by recording and K."""
+"""Sections of table.md: pixels, depth, front and motion by method, camera and blur rate; errors by recording and K."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -8,21 +8,21 @@ from hfb.evaluation.table_text import TIED, UNKNOWN, blur_label, grid, interval,
 
 _MOVEMENT = ("in_plane_px", "ray_depth_mm", "lean_deg", "motion_ratio")
 _EXPLAINED = (
-    "In plane: distance in the picture, nothing aligned. Depth: error along the ray, roots in one place. Lean: angle "
-    "between both trunks in the plane of the vertical and the depth. Front wrong: share of exposures whose body faces "
-    "over 90 degrees away from the true one. Spin: largest turn between neighbouring exposures that the truth does not "
-    "make. Motion: mean distance of both paths about their own means; its ratio to a still body's, with the 95 % "
-    "interval, is 1 where nothing is told of the motion. One exposure cannot tell the direction of time: the ratio in "
-    "the better one stands beside it. Path: length of the joints' paths about the root, share of the true one."
+    "In plane: distance in the image without alignment. Depth: error along the ray after the roots are aligned. Lean: "
+    "angle between the trunks in the vertical-depth plane. Front wrong: share of exposures whose heading is more than "
+    "90 degrees off. Spin: largest error of the change of heading between neighbouring exposures. Motion: mean "
+    "distance of both paths about their means. Motion ratio: that over a still body's, with its 95 % interval; 1 is "
+    "no better than a still body. Better direction: the ratio in the better direction of time, which one exposure "
+    "does not show. Path: length of the joints' paths relative to the root, over the true length."
 )
 
 
 def movement_tables(summary: Mapping[str, Any], oracles: Collection[str]) -> list[str]:
-    """The parts of the page; none where no method knows a place in front of the camera.
+    """Return the sections on position, front and motion; none where no method has these errors.
 
     Args:
         summary: what `summarize` returns.
-        oracles: methods that see the truth: in italics.
+        oracles: methods that use the truth.
     """
     every = {name: both["all"] for name, both in summary["methods"].items()}
     if not any(cell.get(entry) is not None for cell in every.values() for entry in _MOVEMENT):
@@ -47,14 +47,19 @@ def movement_tables(summary: Mapping[str, Any], oracles: Collection[str]) -> lis
         rows = [row[1:] for row in rows] if label is None else _said_once(rows)
         return grid([*first, "method", *head], rows, left=1 + len(first))
 
-    parts = ["## In the picture, in depth and in motion", _EXPLAINED, table({"": every}, None)]
+    parts = ["## Position, front and motion", _EXPLAINED, table({"": every}, None)]
     if cameras:
         parts += ["## The same by camera", table(cameras, "camera")]
     return [*parts, "## The same by blur rate", table(bins, "blur rate")]
 
 
 def recording_tables(summary: Mapping[str, Any], oracles: Collection[str]) -> list[str]:
-    """MPJPE and PA-MPJPE: a row per recording and method, a column per K; none where no recording is named."""
+    """Return the sections with MPJPE and PA-MPJPE by recording, method and K; none without recordings.
+
+    Args:
+        summary: what `summarize` returns.
+        oracles: methods that use the truth.
+    """
     cells = summary.get("recordings", ())
     if not cells:
         return []
@@ -82,7 +87,7 @@ def recording_tables(summary: Mapping[str, Any], oracles: Collection[str]) -> li
 
 
 def _said_once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """The name of a group stands in its first row alone."""
+    """Leave a group's name in its first row only."""
     before = [None, *(row[0] for row in rows)]
     return [["" if row[0] == last else row[0], *row[1:]] for row, last in zip(rows, before, strict=False)]
 
@@ -109,7 +114,7 @@ def _columns(spins: bool) -> Sequence[str]:
         "motion [mm]",
         "still body's [mm]",
         "motion ratio",
-        "better way of time",
+        "better direction",
         "path",
         "matte IoU",
     ]

@@ -1,4 +1,4 @@
-"""What a method claims: the motion during each exposure, as far as it knows it."""
+"""A method's prediction: the motion during each exposure, as far as the method provides it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,17 +10,17 @@ from hfb.typing import Array, Bool, Float
 
 @dataclass(frozen=True)
 class Prediction:
-    """One method's answer to one case; R = frames x sub-frames rows, frame after frame.
+    """One method's prediction of one case; R = frames x sub-frames rows, frame after frame.
 
     Attributes:
         motion: poses on the observation's clock; None for a method that knows no human body (SfB, MfB).
         silhouettes: per row, where the body of ``motion`` is not what the method would draw; None otherwise.
         pictures: premultiplied linear colour and silhouette per row; None for a method without appearance.
         seconds: wall time of the method alone.
-        joints: of a method that estimates joints but no body (then ``motion`` is None): camera axes [m], only their
-            places relative to each other count; NaN where the method does not know a joint of the 24.
+        joints: joints of a method that estimates joints but no body (then ``motion`` is None): camera axes [m], only
+            their places relative to each other count; NaN where the method does not know a joint of the 24.
         alternatives: other motions that the method thinks possible, with their probabilities.
-        joint_features: what the motion's ``joint_radius_mm`` was computed from, for later calibrations.
+        joint_features: features behind the motion's ``joint_radius_mm``, for later calibrations.
     """
 
     motion: SampledMotion | None

@@ -1,4 +1,4 @@
-"""What a fitted motion is judged by: the picture it explains and, where it is known, the truth."""
+"""Scores of a fitted motion: the re-blurred image and, where it is known, the truth."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -61,7 +61,7 @@ def picture_scores(
 ) -> dict[str, float]:
     """Score how well re-blurred frames explain the observed ones.
 
-    ``matte_iou``: soft IoU of re-blurred alpha and matte. ``psnr_db``: of the sRGB pictures within the region of
+    ``matte_iou``: soft IoU of re-blurred alpha and matte. ``psnr_db``: of the sRGB images within the region of
     interest (the box of the mattes, widened), so that the size of the empty background does not count.
 
     Args:
@@ -84,11 +84,11 @@ def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Ra
     """Return all motion errors [mm] and the silhouette IoU against the truth at the nearest instants.
 
     ``mpjpe_mm`` and ``iou`` keep the direction of time that the fit chose; ``better_mpjpe_mm`` and ``better_iou`` take
-    the better of it and its reverse by MPJPE, which no single uniformly exposed picture can tell apart.
+    the better of it and its reverse by MPJPE, which no single uniformly exposed image can tell apart.
 
     Args:
         motion: camera coordinates.
-        truth: of the case.
+        truth: the case's truth.
         body: model of the motion.
         rasterizer: draws it.
     """

@@ -9,7 +9,7 @@ from hfb.evaluation.cells import Cell, make_cell, start_cases, start_cell
 
 
 def recording_cells(found: Mapping[str, DataFrame]) -> dict[str, Any]:
-    """Entries of summary.json: ``recordings`` and ``cameras``; nothing where no row names a recording.
+    """Return the entries ``recordings`` and ``cameras`` of summary.json, or nothing where no row names a recording.
 
     ``recordings`` has an entry per recording and K; ``average`` is None in the one over all K, ``recording`` in the
     one over all recordings. ``cameras`` has one per video. Each entry has the start's cell and one per method.
@@ -35,7 +35,7 @@ def recording_cells(found: Mapping[str, DataFrame]) -> dict[str, Any]:
 
 
 def _values(found: Mapping[str, DataFrame], column: str) -> list[Any]:
-    """What stands in a column, in order; only of rows that name a recording."""
+    """Return the sorted values of a column, of rows that name a recording."""
     return sorted({one for cases in found.values() for one in cases[cases["recording"].notna()][column].dropna()})
 
 

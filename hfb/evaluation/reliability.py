@@ -1,4 +1,4 @@
-"""Is a method as sure as it should be? What it said about its own errors, against what happened."""
+"""Reliability of predicted uncertainties: predicted against observed errors."""
 
 from typing import Any
 
@@ -27,9 +27,9 @@ def joint_row(
     """Return the entries of a case's row about its radii, over all joints but the pelvis (the origin).
 
     Args:
-        joints: of the result [m].
+        joints: joints of the result [m].
         radius_mm: the radii that hold half of the errors.
-        exponent: of the law that gives the other probabilities.
+        exponent: exponent of the law that gives the other probabilities.
         true: the true joints at the same instants [m].
     """
     errors, radii = errors_mm(joints, true)[:, 1:], radius_mm[:, 1:]
@@ -41,7 +41,7 @@ def direction_row(alternatives: Alternatives) -> dict[str, float | None]:
     """Return the mean predicted P(direction right) over the frames; None where nothing moved enough to have one.
 
     Args:
-        alternatives: of the fit.
+        alternatives: alternatives of the fit.
     """
     said = alternatives.body_right()
     return {"direction_said": float(said.mean()) if np.isfinite(said).all() else None}

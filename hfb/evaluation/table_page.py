@@ -17,7 +17,7 @@ _OTHER_METRICS: tuple[Metric, ...] = ("pa_mpjpe", "mpjpe")
 
 @dataclass(frozen=True)
 class _Block:
-    """How one metric is written."""
+    """The format of one metric."""
 
     title: str
     entry: str
@@ -42,10 +42,10 @@ def table_markdown(
     """Format a summary as a page: all cases, per metric a column per interval of blur rates, ratios with intervals.
 
     Args:
-        summary: what `summarize` returns (or summary.json holds).
+        summary: result of `summarize`, or content of summary.json.
         notes: on how it was made (starts, mattes, body ...); a line under the title.
         metrics: blocks in their order; the paper's of this set when not given.
-        oracles: methods that see the truth: in italics, and never best. `is_oracle` tells when not given.
+        oracles: methods that use the truth: in italics, and never best; by `is_oracle` when not given.
     """
     chosen = _PAPERS_METRICS.get(summary["set"], _OTHER_METRICS) if metrics is None else metrics
     methods = summary["methods"]
@@ -81,8 +81,8 @@ def ratio_text(cell: Cell, digits: int) -> str:
     """Format a method's ratio to the start with its interval.
 
     Args:
-        cell: of the method, by `make_cell`.
-        digits: of the interval, after the point.
+        cell: cell of the method, by `make_cell`.
+        digits: decimals of the interval.
     """
     return number(cell["ratio"], 3) + interval(cell["ratio_ci95"], digits, cell["n_pose"])
 
@@ -135,7 +135,7 @@ def _overall_row(cell: Cell, best: str | None) -> list[str]:
 
 
 def _block(summary: Mapping[str, Any], metric: Metric, oracles: Sequence[str]) -> str:
-    """One metric: a row per method, a column per interval and one for all cases."""
+    """Return one metric: a row per method, a column per interval and one for all cases."""
     block = _BLOCKS[metric]
     starts = [*summary["start"]["bins"], summary["start"]["all"]]
     first = _start_name(summary)
@@ -165,7 +165,7 @@ def _block(summary: Mapping[str, Any], metric: Metric, oracles: Sequence[str]) -
 
 
 def _ratios(summary: Mapping[str, Any]) -> str:
-    """A row per interval, a column per method that knows a body: narrower than the other way round."""
+    """Return a row per interval, a column per method with a body: narrower than the other way round."""
     judged = {n: c for n, c in summary["methods"].items() if c["all"]["ratio"] is not None and not is_start(c["all"])}
     cells = {name: [*both["bins"], both["all"]] for name, both in judged.items()}
     starts = [*summary["start"]["bins"], summary["start"]["all"]]
@@ -216,7 +216,7 @@ def _start_name(summary: Mapping[str, Any]) -> str:
 
 
 def _best(values: Sequence[float | None], digits: int, lower_is_better: bool) -> str | None:
-    """The best value as it is written, so that what reads equal is equally bold."""
+    """Return the best value as it is formatted, so that equal texts are equally bold."""
     choose: Callable[[list[float]], float] = min if lower_is_better else max
     known = [value for value in values if value is not None]
     return number(choose(known), digits) if known else None

@@ -12,7 +12,7 @@ def number(value: float | None, digits: int) -> str:
 
     Args:
         value: or None where it is unknown.
-        digits: after the point.
+        digits: number of decimals.
     """
     return UNKNOWN if value is None else f"{value:.{digits}f}"
 
@@ -22,7 +22,7 @@ def interval(bounds: Sequence[float] | None, digits: int, cases: int) -> str:
 
     Args:
         bounds: low and high, or None.
-        digits: after the point.
+        digits: number of decimals.
         cases: n.
     """
     if bounds is None:

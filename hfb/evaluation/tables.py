@@ -1,4 +1,4 @@
-"""From rows of results to the paper's tables: a column per interval of blur rates, with intervals of confidence."""
+"""The paper's tables from rows of results: a column per interval of blur rates, with confidence intervals."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -26,14 +26,14 @@ def summarize(
 ) -> dict[str, Any]:
     """Return the content of summary.json: plain numbers, None where nothing is known.
 
-    Depends neither on the order of the rows nor on anything outside the arguments.
+    The result depends only on the arguments, not on the order of the rows.
 
     Args:
         rows: a mapping (or a row of a pandas table) per case and method, as in cases.parquet.
-        set_name: of the set of cases.
-        count: how many cases were asked for.
-        skipped: what could not be used, and why.
-        seed: of the set.
+        set_name: name of the set of cases.
+        count: number of cases that were asked for.
+        skipped: unusable cases with their reasons.
+        seed: seed of the set.
         bins: intervals of blur rates, ascending; a rate on an edge belongs to the upper one, the last is closed.
         methods: their order; methods that are not named follow by name, named ones without rows have n = 0.
         pairs: which methods to compare on the same cases; `best` against each other one when not given.
@@ -81,7 +81,7 @@ def _comparisons(
     pairs: Sequence[tuple[str, str]],
     bins: Bins,
 ) -> dict[str, Any]:
-    """Those of the pairs that share a case with known errors."""
+    """Compare those pairs that share a case with known errors."""
     compared = {}
     for one, other in pairs:
         if one not in found or other not in found:

@@ -1,7 +1,7 @@
-"""Signs that a result is wrong although nothing failed, each with its remedy.
+"""Checks of a finished result for signs of errors, each with a remedy.
 
-Every check compares what was seen with what was fitted; none needs the truth. Bounds lie well outside of what clean
-recordings give (tests/evaluation/test_warnings.py).
+Every check compares the images with the fit; none needs the truth. Bounds are well outside of the values of clean
+recordings (tests/evaluation/test_warnings.py).
 """
 
 import math
@@ -21,29 +21,30 @@ from hfb.typing import Array, Bool, Float
 
 LEAST_MATTE_IOU = 0.7
 _SPIN_DEG, _SPIN_DEG_PER_S = 75.0, 600.0
-"""Of the trunk between the middles of neighbouring frames. A pirouette has 700 degrees/s: 23 per frame at 30 fps."""
+"""Largest turn of the trunk between the middles of neighbouring frames. A pirouette has 700 degrees/s: 23 per frame at
+30 fps."""
 _MOST_LEFT_OVER = 0.08
-"""Of the matte's area, in one piece that the fitted body does not touch."""
+"""Largest share of the matte's area in one piece that the fitted body does not touch."""
 _LIGHT_PX = 48
 _LIGHT_RATIO, _LIGHT_SRGB, _LIGHT_SHARE = 0.12, 0.03, 0.15
 """Logarithm and step of brightness in one place of the scene, and the share of the places that have it: at most 0.04 in
 clean recordings, 0.26 and more with a third in light shade or an exposure that is longer by a quarter."""
 _STATIC_LOOKS, _STATIC_SHARE, _STATIC_PX = 5, 0.8, 160
 _LEAST_STATIC = 0.12
-"""Of the person's area: reflections and soft shadows of clean recordings have up to 0.06."""
+"""Share of the person's area: reflections and soft shadows of clean recordings have up to 0.06."""
 _AWAY, _STAYS = 0.3, 0.5
 _NEVER_LEFT_SHARE = 0.3
 _NAMED = 8
 
 
 class ResultWarning(Record):
-    """One thing that went wrong.
+    """One problem of a result.
 
     Attributes:
         code: for programs, such as ``"trunk_spin"``.
         value: the figure that is out of bounds.
-        frames: where; empty where it is the whole input.
-        message: what is wrong and what to do, one sentence.
+        frames: numbers of the frames; empty for the whole input.
+        message: problem and remedy, one sentence.
     """
 
     code: str
@@ -52,12 +53,16 @@ class ResultWarning(Record):
     message: str
 
 
+_SURE_FRONT = 0.8
+
+
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One frame as it was seen and as it is explained.
+    """One frame with its matte and the fitted body's silhouette.
 
     Attributes:
-        matte: of the person. alpha: the fitted body's share of each pixel, None where it was not drawn.
+        matte: matte of the person.
+        alpha: the fitted body's share of each pixel, None where it was not drawn.
     """
 
     number: int
@@ -77,7 +82,7 @@ def find_warnings(
     Args:
         looks: frames of it, a few spread over a long clip; a few hundred pixels are enough.
         plate_srgb: background plate in the looks' size.
-        motion: of the result, camera coordinates.
+        motion: motion of the result, camera coordinates.
         matte_iou: per frame, of the fitted body.
     """
     found = (
@@ -94,7 +99,7 @@ def check_matte_iou(matte_iou: Mapping[int, float]) -> ResultWarning | None:
     """Check that the body covers the matte.
 
     Args:
-        matte_iou: of the fitted body, by frame.
+        matte_iou: soft IoU of the fitted body, by frame.
     """
     low = {frame: value for frame, value in sorted(matte_iou.items()) if value < LEAST_MATTE_IOU}
     if not low:
@@ -114,7 +119,7 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
     """Check that the trunk does not turn faster between neighbouring frames than a person can.
 
     Args:
-        motion: of the result, camera coordinates.
+        motion: motion of the result, camera coordinates.
     """
     numbers = np.unique(motion.frame_index)
     middles = [motion.rows_of(int(number)) for number in numbers]
@@ -135,6 +140,25 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
         f"the trunk turns by {worst:.0f} degrees from one frame to the next, faster than a person can, before "
         f"{_frames(where)}: front and back were probably mistaken; give a better start (`hfb models fetch`, or another "
         "system's result with --init FILE), or leave the frames out",
+    )
+
+
+def check_front(probability: Mapping[int, float]) -> ResultWarning | None:
+    """Return a warning where two fits, one per way the person may face, explain the frames about as well.
+
+    Args:
+        probability: of the front that was kept, by frame; of frames whose front was never in doubt none.
+    """
+    low = {frame: value for frame, value in sorted(probability.items()) if value < _SURE_FRONT}
+    if not low:
+        return None
+    worst = min(low.values())
+    return _warning(
+        "front",
+        worst,
+        low,
+        f"which way the person faces is unsure ({worst:.0%} for the way shown) in {_frames(low)}: give a better start "
+        "(`hfb models fetch`, or another system's result with --init FILE), or a frame with less blur",
     )
 
 
@@ -266,7 +290,7 @@ def _left_over_share(matte: Float[Array, "H W"], alpha: Float[Array, "H W"]) -> 
 
 
 def _is_thing(region: Bool[Array, "h w"], mattes: Float[Array, "n h w"]) -> bool:
-    """No part of somebody who stands still: the person is elsewhere in many frames, or moves while it does not."""
+    """Return whether a region is not the person: they are elsewhere in many frames, or move while it does not."""
     within = mattes[:, region].mean(1)
     if (within < _AWAY).mean() > 1 / 3:
         return True
@@ -283,7 +307,7 @@ def _is_thing(region: Bool[Array, "h w"], mattes: Float[Array, "n h w"]) -> bool
 
 
 def _places(picture: Float[Array, "H W *c"]) -> Float[Array, "h w"]:
-    """Brightness, or a matte, of a few places: what is smaller than one is no shade over a scene."""
+    """Return the brightness, or the matte, of a few places: smaller areas are no shade over a scene."""
     small = shrink(picture, _LIGHT_PX)
     return np.asarray(small.mean(-1) if small.ndim == 3 else small, np.float32)
 
@@ -300,7 +324,7 @@ def _rotations(axis_angle: Float[Array, "n 3"]) -> Float[Array, "n 3 3"]:
 
 
 def _frames(numbers: Sequence[int] | Mapping[int, float]) -> str:
-    """In words: "frame 3", "frames 3, 4 and 12 more"."""
+    """Return frames in words: "frame 3", "frames 3, 4 and 12 more"."""
     listed = list(numbers)
     shown = ", ".join(map(str, listed[:_NAMED]))
     more = f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else ""

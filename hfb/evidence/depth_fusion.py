@@ -30,7 +30,7 @@ class DepthFusion(nn.Module):
     """MLP with two hidden layers per joint; joints share all parameters but an embedding.
 
     Attributes:
-        mean: of the training inputs, (FACTS,).
+        mean: mean of the training inputs, (FACTS,).
         spread: standard deviation of the training inputs, (FACTS,).
     """
 
@@ -68,7 +68,7 @@ class DepthCues:
     Attributes:
         fitted: the fit's joints from the pelvis.
         start: joints of the first body.
-        lengths: of the fit's bones.
+        lengths: lengths of the fit's bones.
         perspective: `Window.units_to_tangents`.
         unit_m: a unit in metres at the pelvis' distance.
         claimed: the joint network's prediction for the frame.
@@ -120,7 +120,7 @@ class DepthCues:
 
 
 def _of_neighbours(values: Float[Tensor, "T *n"]) -> Float[Tensor, "T *n"]:
-    """Mean of the frames before and after; a single frame's own values."""
+    """Return mean of the frames before and after; a single frame's own values."""
     if len(values) == 1:
         return values
     before, after = values[:-1], values[1:]

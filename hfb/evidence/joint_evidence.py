@@ -121,7 +121,7 @@ class JointEvidence:
 
         Args:
             joints: the fit's at mid-exposure, camera coordinates [m].
-            share: of the lifting network.
+            share: weight of the lifting network.
         """
         perspective = self.lenses[:, 4].to(joints.dtype)
         lengths = lengths_in_window(joints, perspective)
@@ -225,7 +225,7 @@ def _predict(observation: Observation, windows: tuple[Window, ...], start: Float
 def _along_neighbours(
     windows: Sequence[Window], middle: Float[Tensor, "T 24 3"], path: Float[Tensor, "T 24 3"]
 ) -> Bool[Tensor, "T"]:
-    """Whether each frame's path points along the joints' displacement from frame to frame, across the view."""
+    """Return whether each frame's path points along the joints' displacement from frame to frame, across the view."""
     sides = middle.new_tensor([window.side for window in windows])[:, None, None]
     corners = middle.new_tensor([[window.left, window.top] for window in windows])[:, None]
     places = corners + (middle[..., :2] + 1) / 2 * sides
@@ -234,7 +234,7 @@ def _along_neighbours(
 
 
 def _predict_mirrored(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> JointClaim:
-    """Mean of the predictions for the image and for its mirror image."""
+    """Return mean of the predictions for the image and for its mirror image."""
     mirror = list(MIRROR)
     across = torch.tensor([-1.0, 1.0, 1.0])
     pictures = torch.stack([seen, seen.flip(-1)]).contiguous(memory_format=torch.channels_last)
@@ -255,7 +255,7 @@ def _predict_mirrored(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]
 
 
 def _joints(first: FirstBody, body: Body) -> Float[Tensor, "24 3"]:
-    """Joints of a first body, camera coordinates [m]."""
+    """Return joints of a first body, camera coordinates [m]."""
     shaped = body.shape(first.betas.float())
     return shaped.joints_of(axis_angle_to_matrix(first.pose.float())[None], first.translation.float()[None])[0]
 

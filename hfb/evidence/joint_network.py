@@ -89,7 +89,7 @@ class Window:
         """Return the same lines of sight in a crop or another size of the image.
 
         Args:
-            camera: of a crop or a resized image.
+            camera: camera of a crop or a resized image.
         """
         across, down = camera.fx / self.camera.fx, camera.fy / self.camera.fy
         left = camera.cx + across * (self.left - self.camera.cx)
@@ -136,7 +136,7 @@ def in_units(joints: Float[Tensor, "*n 24 3"], lens: Float[Tensor, "*m 5"]) -> F
 
     Args:
         joints: camera coordinates [m].
-        lens: of every window, see `Window.lens`.
+        lens: lens of every window, see `Window.lens`.
     """
     depth = joints[..., 2:]
     across = joints[..., :2] / depth * lens[..., :2] + lens[..., 2:4]
@@ -189,7 +189,11 @@ class JointClaim:
 
 
 class JointNetwork(nn.Module):
-    """One feature map per image; three rounds that sample it around every joint and move the joint."""
+    """One feature map per image; three rounds that sample it around every joint and move the joint.
+
+    Args:
+        widths: sizes of the layers.
+    """
 
     def __init__(self, widths: Widths = SHIPPED) -> None:
         super().__init__()
@@ -276,7 +280,7 @@ class _Exchange(nn.Module):
 
 
 def _looked(seen: Float[Tensor, "N C h w"], spots: Float[Tensor, "N K L 2"]) -> Float[Tensor, "N K LC"]:
-    """Features of a map at some spots, concatenated."""
+    """Return features of a map at some positions, concatenated."""
     return functional.grid_sample(seen, spots, align_corners=False).permute(0, 2, 3, 1).flatten(2)
 
 

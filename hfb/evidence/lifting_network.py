@@ -1,9 +1,9 @@
 """The lifting network: joint depth from joints across the view, a first guess and bone lengths, without an image.
 
-Its training data is cheap but for some thousand fits, whereas the joint network needs rendered images. Once a fit has
-the joints across the view, this network knows their depth better (2D-to-3D lifting: Martinez et al., A simple yet
-effective baseline for 3d human pose estimation, ICCV 2017; here with a first guess and the lengths of the fit's bones
-as further inputs: the part of a bone that is not seen across the view lies in depth).
+Its training data is cheap except for some thousand fits, whereas the joint network needs rendered images. Once a fit
+has the joints across the view, this network predicts their depth better (2D-to-3D lifting: Martinez et al., A simple
+yet effective baseline for 3d human pose estimation, ICCV 2017; here with a first guess and the lengths of the fit's
+bones as further inputs: the part of a bone's length that is not across the view is in depth).
 """
 
 from functools import lru_cache
@@ -46,7 +46,7 @@ class LiftingNetwork(nn.Module):
             across: x and y from the pelvis in the units of each frame's window (`hfb.evidence.joint_network.Window`);
                 where there is one frame alone it is its own neighbour.
             start: first guesses in the same units, which seem as large (`match_spread`).
-            lengths: of bones in the same units (`lengths_in_window`).
+            lengths: lengths of bones in the same units (`lengths_in_window`).
             perspective: `Window.units_to_tangents`.
         """
         bones, deep = (one - one[:, :, list(PARENT_OR_SELF)] for one in (across, start))
@@ -70,7 +70,7 @@ def _left_for_depth(
     Args:
         bones: x and y of the bones' vectors, in window units.
         middle: depth of the bones' middles; bones beyond the pelvis look smaller.
-        lengths: of the bones, in window units.
+        lengths: lengths of the bones, in window units.
         perspective: `Window.units_to_tangents`.
     """
     seen = bones.norm(dim=-1) * (1 + perspective[..., None] * middle)
@@ -129,7 +129,7 @@ def lift_depth(
 
     Args:
         joints: in the units of their windows; only x and y are looked at.
-        start: what the fit began from.
+        start: start of the fit.
         lengths: as of `LiftingNetwork`.
         perspective: as of `LiftingNetwork`.
     """

@@ -1,4 +1,4 @@
-"""Motions that explain the pictures too: what was weighed, how likely each is, and what that leaves unknown."""
+"""Alternative motions with the same images: their terms and probabilities, and the remaining ambiguity."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,20 +20,41 @@ MOVES_M = 0.015
 _UNSURE = 0.75
 _UNPACKED_LIMIT, _LARGEST = 128 << 20, 1e6
 _KINDS = {"reversed_limbs": "b", "chosen": "iu", "frame_index": "iu", "score_names": "U", "feature_names": "U"}
+_FRONT = ("front_poses", "front_trans", "front_joints", "front_probability")
 _ARRAYS = ("reversed_limbs", "poses", "trans", "joints", "probability", "chosen", "frame_index")
 
 
 @dataclass(frozen=True)
+class FrontMotion:
+    """The motion that was fitted with the person facing the other way.
+
+    Attributes:
+        poses: axis-angle [rad].
+        trans: SMPL's translation [m].
+        joints: camera coordinates [m].
+        probability: that this front is the right one.
+    """
+
+    poses: Float[Array, "R 72"]
+    trans: Float[Array, "R 3"]
+    joints: Float[Array, "R 24 3"]
+    probability: float
+
+
+@dataclass(frozen=True)
 class Alternatives:
-    """A motions of R = frames x sub-frames rows each, one of which became the result.
+    """A alternative motions of R = frames x sub-frames rows each, one of which is the result.
 
     Attributes:
         reversed_limbs: per frame which limbs (`LIMB_NAMES`) run backwards compared with what was first fitted.
-        poses: axis-angle [rad]. trans: SMPL's translation [m]. joints: camera coordinates [m].
+        poses: axis-angle [rad].
+        trans: SMPL's translation [m].
+        joints: camera coordinates [m].
         scores: per motion, the objective's terms by name, their weighted sum ``loss`` and the motion prior's evidence.
-        probability: of each motion, given that one of them is right; adds up to 1.
+        probability: probability of each motion, given that one of them is right; adds up to 1.
         chosen: the number of the result.
         frame_index: the frame each row belongs to.
+        other_front: where both fronts were fitted, the one that was not kept; all other motions have the kept one.
     """
 
     reversed_limbs: Bool[Array, "A T 5"]
@@ -44,6 +65,7 @@ class Alternatives:
     probability: Float[Array, "A"]
     chosen: int
     frame_index: Array
+    other_front: FrontMotion | None = None
 
     def joint_right(self) -> Float[Array, "T 24"]:
         """Return P(the joint moved in the result's direction), camera coordinates; NaN for one that hardly moved."""
@@ -79,7 +101,7 @@ class Alternatives:
         A tie counts half. NaN where the joints hardly moved.
 
         Args:
-            joints: of every motion [m].
+            joints: joints of every motion [m].
             chosen: numbers of the joints to compare.
         """
         out = np.full((int(self.frame_index.max()) + 1, len(joints)), np.nan)
@@ -99,7 +121,8 @@ Record = dict[str, dict[str, float | None]]
 def direction_record(alternatives: Alternatives) -> list[Record]:
     """Return P(direction right) per frame as plain numbers, None where hardly anything moved.
 
-    ``right`` holds the whole body's and every limb's, ``given_body`` every limb's if the whole body's is right.
+    ``right`` has the whole body's and every limb's probability, ``given_body`` every limb's if the whole body's is
+    right.
 
     Args:
         alternatives: motions with their probabilities.
@@ -146,7 +169,7 @@ def save_alternatives(
     Args:
         path: the file.
         alternatives: motions with their probabilities.
-        joint_features: what the joints' radii were computed from; calibrations read them.
+        joint_features: features behind the joints' radii; calibrations read them.
     """
     arrays = {name: np.asarray(getattr(alternatives, name)) for name in _ARRAYS}
     arrays |= {name: arrays[name].astype(np.float32) for name in ("poses", "trans", "joints")}
@@ -161,6 +184,9 @@ def save_alternatives(
         "feature_names": np.array(tuple(joint_features)),
         "features": np.array([joint_features[name] for name in joint_features], np.float32),
     }
+    if (front := alternatives.other_front) is not None:
+        motions = (np.asarray(one, np.float32) for one in (front.poses, front.trans, front.joints))
+        arrays |= dict(zip(_FRONT, (*motions, np.array(front.probability)), strict=True))
     write_arrays(path, arrays)
 
 
@@ -179,18 +205,22 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
         _check(found)
         scores = dict(zip(found["score_names"].tolist(), found["scores"].T, strict=True))
         features = dict(zip(found["feature_names"].tolist(), found["features"].astype(np.float64), strict=True))
+        front = None
+        if _FRONT[0] in found:
+            poses, trans, joints = (found[name].astype(np.float64) for name in _FRONT[:3])
+            front = FrontMotion(poses, trans, joints, float(found[_FRONT[3]]))
     except FileNotFoundError:
         raise InputError(f"there is no file of alternatives at {path}; `hfb fit` leaves one") from None
     except (KeyError, ValueError, TypeError, OSError) as error:
         raise InputError(f"{path} holds no alternatives of hfb ({error}); make one with `hfb fit`") from None
     read |= {name: read[name].astype(np.float64) for name in ("poses", "trans", "joints")}
-    return Alternatives(**read | {"chosen": int(read["chosen"]), "scores": scores}), features
+    return Alternatives(**read | {"chosen": int(read["chosen"]), "scores": scores, "other_front": front}), features
 
 
 def _check(found: Mapping[str, Array]) -> None:
-    """Raises ValueError where arrays do not belong together or hold what no fit leaves, KeyError where one is missing.
+    """Raise ValueError where arrays do not match or hold values that no fit produces, KeyError where one is missing.
 
-    Wherever a frame's number is used it is the place in a table: it has to be as small as a fit's are.
+    A frame's number is used as an index, so it has to be as small as those of a fit.
     """
     several, rows = found["poses"].shape[:2] if found["poses"].ndim == 3 else (0, 0)
     frames = found["reversed_limbs"].shape[1] if found["reversed_limbs"].ndim == 3 else 0
@@ -208,11 +238,15 @@ def _check(found: Mapping[str, Array]) -> None:
         "score_names": (scores,),
         "feature_names": (features,),
     }
+    motions = ["poses", "trans", "joints", "probability"]
+    if _FRONT[0] in found:
+        shapes |= dict(zip(_FRONT, ((rows, 72), (rows, 3), (rows, 24, 3), ()), strict=True))
+        motions += _FRONT
     for name, shape in shapes.items():
         array = found[name]
         if array.shape != shape or array.dtype.kind not in _KINDS.get(name, "f"):
             raise ValueError(f"its {name} is {str(array.dtype)[:20]} {array.shape}, not {shape}")
-    for name in ("poses", "trans", "joints", "probability"):
+    for name in motions:
         if not (np.abs(found[name]) <= _LARGEST).all():
             raise ValueError(f"its {name} has a number beyond {_LARGEST:g}, or one that is not finite")
     if not rows or not 0 <= found["chosen"] < several or not (found["probability"] >= 0).all():

@@ -56,7 +56,7 @@ def pad_batch(fits: Sequence[R], batch_size: int) -> list[R]:
 
     Args:
         fits: at most `batch_size`.
-        batch_size: of the result.
+        batch_size: batch size of the result.
     """
     return [*fits, *[fits[0]] * (batch_size - len(fits))]
 
@@ -66,9 +66,9 @@ class Batch:
     """Fits that are optimised together.
 
     Attributes:
-        variables: of every fit, changed in place.
+        variables: variables of every fit, changed in place.
         initial: predictions of every fit from before the first stage.
-        objectives: of every fit, with these predictions, in the processor's memory.
+        objectives: objectives of every fit, with these predictions, in the CPU's memory.
         config: options of all fits.
         rasterizer: renders all fits.
         size: the batch is padded to this size.
@@ -167,8 +167,8 @@ class _BestIterates:
     """Best iterates of a stage, on the device, and the losses of all iterations.
 
     Attributes:
-        loss: of every fit's best iterate.
-        iteration: of every fit's best iterate, counted from the stage's first.
+        loss: loss of every fit's best iterate.
+        iteration: iteration of every fit's best iterate, counted from the stage's first.
         values: terms of every iteration in the order of `names`, the weighted sum last.
         lengths: number of iterations of every fit.
     """
@@ -189,7 +189,7 @@ def _run_stage(
     stage: Stage,
     clock: StageClock,
 ) -> _BestIterates:
-    """Iterations of Adam on all fits; a fit whose patience is exhausted is kept as it was then."""
+    """Run Adam on all fits; a fit whose patience is exhausted keeps its best iterate."""
     best, rows = variables.copy(), []
     names: tuple[str, ...] = ()
     best_loss = gain_loss = torch.full_like(variables.betas[:, 0].detach(), math.inf)

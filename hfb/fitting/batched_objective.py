@@ -42,8 +42,8 @@ class BatchedVariables:
         """Stack copies of the fits' variables; known shapes and textures get no gradient.
 
         Args:
-            variables: of every fit, in the processor's memory.
-            device: of the copies.
+            variables: variables of every fit, in the CPU's memory.
+            device: device of the copies.
         """
 
         def leaf(tensors: list[Tensor]) -> Tensor:
@@ -61,7 +61,7 @@ class BatchedVariables:
         """Copy every fit's values into its variables; padding is dropped.
 
         Args:
-            variables: of every fit, in the processor's memory.
+            variables: variables of every fit, in the CPU's memory.
         """
         with torch.no_grad():
             parts = (one.cpu() for one in (self.rotation, self.translation, self.betas, self.texture))
@@ -112,7 +112,7 @@ class BatchedVariables:
 class _Graphed:
     """A function from tensors to a tuple of tensors, replayed as a CUDA graph with its backward pass on a GPU.
 
-    Hundreds of small launches take the processor longer than the device. The next call overwrites the results.
+    Hundreds of small launches take the CPU longer than the device. The next call overwrites the results.
     """
 
     def __init__(self, function: Callable[..., tuple[Tensor, ...]], captures: bool = True) -> None:
@@ -130,7 +130,7 @@ class _Graphed:
 
 @contextmanager
 def _no_garbage_collection() -> Iterator[None]:
-    """Destroying a CUDA graph while another is captured breaks the capture."""
+    """Suspend garbage collection: destroying a CUDA graph while another is captured breaks the capture."""
     collects = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -190,7 +190,7 @@ class BatchedObjective:
         """Return unweighted terms of every fit; see `Objective.terms`.
 
         Args:
-            variables: of all fits, on the device.
+            variables: variables of all fits, on the device.
         """
         with readable_formulas():
             vertices, *of_bodies = self._bodies(variables.rotation, variables.translation, variables.betas)
@@ -202,14 +202,14 @@ class BatchedObjective:
         """Return terms of every fit that need no rendering; see `Objective.body_terms`.
 
         Args:
-            variables: of all fits, on the device.
+            variables: variables of all fits, on the device.
         """
         with readable_formulas():
             values = self._skeletons(variables.rotation, variables.translation, variables.betas)
             return dict(zip(self._names["bodies"], values, strict=True))
 
     def _all_bodies(self, *moving: Tensor) -> tuple[Tensor, ...]:
-        """Vertices (N, T, S, V, 3) of all fits, and the terms of body and motion."""
+        """Return vertices (N, T, S, V, 3) of all fits, and the terms of body and motion."""
 
         def one(known: dict[str, Tensor], *moving: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
             objective, motion = self._one(known, *moving)
@@ -231,7 +231,7 @@ class BatchedObjective:
     def _one(
         self, known: dict[str, Tensor], rotation: Tensor, translation: Tensor, betas: Tensor
     ) -> tuple[Objective, Trajectory]:
-        """One fit's objective and its motion in metres; inside `vmap`."""
+        """Return one fit's objective and its motion in metres; inside `vmap`."""
         objective = replace(self.template, first=known["first"])
         if objective.evidence is not None:
             told: dict[str, Any] = {name: known[name] for name in _EVIDENCE}
@@ -243,7 +243,7 @@ class BatchedObjective:
     def _render(
         self, vertices: Float[Tensor, "N T S V 3"], texture: Float[Tensor, "N A A 3"]
     ) -> Float[Tensor, "N T n H W 4"]:
-        """Mean image of every frame, or all of its sub-frames where the background term needs them."""
+        """Return mean image of every frame, or all of its sub-frames where the background term needs them."""
         weights, (fits, frames, subframes) = self.template.weights, vertices.shape[:3]
         cameras, bodies = self._cameras, vertices.flatten(0, 1)
         if weights.background > 0:
@@ -268,7 +268,7 @@ class BatchedObjective:
         return tuple(terms.values())
 
     def _surface_terms(self, texture: Float[Tensor, "N A A 3"]) -> dict[str, Float[Tensor, "N"]]:
-        """Terms of the texture: one fit at a time, on the processor; the preset `best` has none."""
+        """Return terms of the texture, one fit at a time, on the CPU; the preset `best` has none."""
         if self.template.weights.texture <= 0 or self._surfaces[0][0] is None:
             return {}
         each = [

@@ -1,13 +1,13 @@
-"""How far off each joint may be: a radius per joint and sub-frame that holds half of the errors, and the law beyond it.
+"""Confidence of joints: a radius per joint and sub-frame with half of the errors, and the law of larger ones.
 
-The error meant is the one that MPJPE averages: of a joint about the pelvis, after one rotation of the whole sequence.
-It is taken to follow a Weibull law with one exponent k and a median of its own for every joint and instant,
+The error is the one that MPJPE averages: of a joint about the pelvis, after one rotation of the whole sequence.
+It is modelled by a Weibull law with one exponent k and a median of its own for every joint and instant,
 
     P(error <= x) = 1 - 2^-((x / radius)^k),        log radius = b_0 + sum_i b_i f_i,
 
-whose features f_i are read off the fit. The coefficients are fitted by maximum likelihood to fits whose truth is known
-(`hfb train confidence`) and lie in data/confidence.json, a set for each kind of start: a fit errs twice as much
-from a start that was estimated from its picture as from a simulated one. A new feature is a new entry in
+whose features f_i are computed from the fit. The coefficients are fitted by maximum likelihood to fits whose truth is
+known (`hfb train confidence`) and are in data/confidence.json, a set for each kind of start: errors are twice as large
+from a start that was estimated from its image as from a simulated one. A new feature is a new entry in
 `hfb.fitting.joint_features`.
 """
 
@@ -23,7 +23,7 @@ import numpy as np
 from hfb.typing import Array, Float, Int
 
 StartKind = Literal["simulated", "network", "matte"]
-"""Where a first body is from: drawn beside the truth, as benchmarks do; a pose network; the matte's outline alone."""
+"""Source of a first body: simulated from the truth, as benchmarks do; a pose network; the matte's outline alone."""
 
 Features = Mapping[str, Float[Array, "R 24"]]
 _CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")
@@ -39,7 +39,8 @@ class ConfidenceModel:
     """The coefficients of the log-linear radius, and the exponent of the law.
 
     Attributes:
-        coefficients: b_i by the feature's name. constant: b_0, of a radius in mm.
+        coefficients: b_i by the feature's name.
+        constant: b_0, of a radius in mm.
         exponent: k.
         typical: the features' means where the model was fitted: they stand in for what a fit does not know.
     """
@@ -77,7 +78,7 @@ def start_kind(source: str) -> StartKind:
     """Return the kind of a first body by its ``source``; other systems' and neighbours' bodies count as a network's.
 
     Args:
-        source: of a first body.
+        source: source of a first body.
     """
     if source in ("simulated", "truth"):
         return "simulated"
@@ -94,7 +95,7 @@ def shipped_confidence(kind: StartKind = "network") -> ConfidenceModel:
     """Load the shipped model of a kind of start; the exponent is the same for all.
 
     Args:
-        kind: of start.
+        kind: kind of start.
     """
     content = _shipped()
     of_kind = {name: content["by_start"][kind][name] for name in ("coefficients", "constant", "typical")}
@@ -107,7 +108,7 @@ def shipped_radius_mm(features: Features, frame_index: Int[Array, "R"], sources:
     Args:
         features: one table per name, see `hfb.fitting.joint_features`.
         frame_index: frame of every row.
-        sources: of every frame's first body.
+        sources: sources of every frame's first body.
     """
     radius = np.empty_like(features["reach"])
     kinds = np.array([start_kind(source) for source in sources])[frame_index]
@@ -121,7 +122,7 @@ def radius_condition(sources: Sequence[str]) -> dict[str, Any]:
     """Return the basis of a result's radii: the kinds of its starts, how often radii held there, and a sentence.
 
     Args:
-        sources: of the first bodies of all frames.
+        sources: sources of the first bodies of all frames.
     """
     kinds = sorted({start_kind(source) for source in sources})
     shipped = _shipped()["by_start"]

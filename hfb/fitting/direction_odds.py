@@ -16,7 +16,7 @@ EVIDENCE: tuple[str, ...] = ("excess", "limbs_backwards", "body_backwards", "net
 ``excess``: by how much the objective's weighted sum, the motion prior left out, is above that of the motion as fitted;
 beyond `LARGEST_EXCESS` more means no more. ``limbs_backwards``, ``body_backwards``: the motion prior's
 -log P(it does not run backwards), per limb and of the body as a whole; ``network_backwards``: the joint network's,
-which saw the picture. All summed over the frames.
+which saw the image. All summed over the frames.
 """
 
 LARGEST_EXCESS = 0.3
@@ -29,7 +29,7 @@ def probabilities(
 
     Args:
         evidence: one row per hypothesis, columns as `EVIDENCE`; the motion as fitted first.
-        several: of several frames, which the continuity between them ties together.
+        several: weights for several frames, which their continuity connects.
         calibration: coefficients by name, for ``single`` and for ``several``; the shipped ones when not given.
     """
     chosen = (calibration or shipped_odds())["several" if several else "single"]

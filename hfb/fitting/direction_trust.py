@@ -1,4 +1,4 @@
-"""How far the odds of directions can be trusted: what is said is drawn to even odds, by the start and by trouble.
+"""Calibration of the odds of directions by the kind of start and by signs of trouble.
 
 The odds of `hfb.fitting.direction_odds` were measured on fits that began near the truth. Either the motion prior knows
 a motion, and is right, or it does not, and leans to one side by chance. So evidence has to overcome a doubt first: with
@@ -26,7 +26,7 @@ from hfb.fitting.direction_odds import shipped_odds
 from hfb.typing import Array, Float
 
 SIGNS: tuple[str, ...] = ("misfit", "moved", "unusual")
-"""Of `hfb.fitting.joint_features`: the matte is not covered, the fit left its first body far behind, an odd pose."""
+"""Names in `hfb.fitting.joint_features`: an uncovered matte, a large distance from the first body, an unusual pose."""
 
 _LEAST, _SUREST = 1e-12, 1 - 1e-9
 
@@ -36,7 +36,10 @@ class Trust:
     """The coefficients of the doubt.
 
     Attributes:
-        constant: b_0. coefficients: b_i, by the name of the sign. typical, spread: of the signs where they were fitted.
+        constant: b_0.
+        coefficients: b_i, by the name of the sign.
+        typical: mean of each sign over the cases of the calibration.
+        spread: standard deviation of each sign over these cases.
     """
 
     constant: float
@@ -73,8 +76,8 @@ def signs_of(features: Features, rows: slice | Array) -> dict[str, float]:
     """Return the signs of trouble in a frame: the mean of each feature over its rows and joints.
 
     Args:
-        features: of the result, by name.
-        rows: of the frame.
+        features: features of the result, by name.
+        rows: rows of the frame.
     """
     return {name: float(features[name][rows, 1:].mean()) for name in SIGNS}
 
@@ -83,7 +86,7 @@ def group_probability(probability: Float[Array, "A"], agrees: Float[Array, "T A"
     """Return for each hypothesis the probability of all with the same directions of the body.
 
     Args:
-        probability: of the hypotheses.
+        probability: probability of the hypotheses.
         agrees: `Alternatives.body_agrees`.
     """
     _, group = np.unique(np.nan_to_num(agrees, nan=1.0) > 0.5, axis=1, return_inverse=True)
@@ -96,7 +99,7 @@ def temper(
     """Draw the odds of the body's directions to even ones; inside a group hypotheses keep their odds.
 
     Args:
-        probability: of the hypotheses.
+        probability: probability of the hypotheses.
         grouped: `group_probability` of them.
         power: 0 makes the groups equally likely, 1 changes nothing.
     """
@@ -108,9 +111,9 @@ def trusted(alternatives: Alternatives, features: Features, sources: Sequence[st
     """Return the alternatives with calibrated probabilities; of several frames the least trusted one counts.
 
     Args:
-        alternatives: of one fit.
-        features: of the result.
-        sources: of the frames' first bodies.
+        alternatives: alternatives of one fit.
+        features: features of the result.
+        sources: sources of the frames' first bodies.
     """
     rows = (alternatives.frame_index == frame for frame in range(len(sources)))
     doubts = [
@@ -127,7 +130,7 @@ def shipped_trust(kind: StartKind) -> Trust:
     """Return the shipped coefficients of a kind of start.
 
     Args:
-        kind: of the first body.
+        kind: kind of the first body.
     """
     content = shipped_odds()["trust"][kind]
     return Trust(**{name: content[name] for name in ("constant", "coefficients", "typical", "spread")})
@@ -137,7 +140,7 @@ def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
     """Return the basis of a result's odds of directions: how often they held from its kinds of start, and a sentence.
 
     Args:
-        sources: of the first bodies of all frames.
+        sources: sources of the first bodies of all frames.
     """
     kinds = sorted({start_kind(source) for source in sources})
     frames = "several_frames" if len(sources) > 1 else "one_frame"
@@ -152,7 +155,7 @@ def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
 
 
 def _told(counted: Mapping[str, Any], frames: str) -> str:
-    """How often what was said of the body happened, on new people where there are any."""
+    """Return how often the predicted direction of the body was right, on new people where there are any."""
     new = counted["new_people"][frames]
     if new is None and frames != "one_frame":
         return "not counted"

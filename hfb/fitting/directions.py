@@ -47,7 +47,7 @@ class _Hypothesis:
     loss: float
 
     def mirrored(self, found: Variables, objective: Objective, shaped: ShapedBody) -> "_Hypothesis":
-        """The whole motion of one frame reversed: its image, and so the image terms, stay the same."""
+        """Return the whole motion of one frame reversed: its image, and so the image terms, stay the same."""
         trajectory = reverse_columns(self.trajectory, limb_columns(torch.ones_like(self.reversed_limbs)))
         with torch.no_grad():
             here, there = (
@@ -68,10 +68,10 @@ def search_directions(
     """Find the likeliest directions of a motion; the fitted motion stays bit for bit where none is likelier.
 
     Args:
-        found: what was fitted; its shape and texture are kept by every hypothesis.
-        coarse: the objective of the last stage at a small picture size: there hypotheses are refitted and compared.
+        found: fitted variables; every hypothesis keeps their shape and texture.
+        coarse: the objective of the last stage at a small image size: there hypotheses are refitted and compared.
         fine: the objective of the last stage: there the winner is polished, where it is another than what was fitted.
-            Its motion prior is what knows time's arrow; without one a picture says nothing about the whole body.
+            Its motion prior is what knows time's arrow; without one an image says nothing about the whole body.
         config: options of the search.
     """
     with torch.no_grad():
@@ -101,13 +101,13 @@ def search_directions(
         frame_index=motions[0].frame_index,
     )
     if not several and chosen in as_fitted and np.round(alternatives.body_right()[0], 6) < 0.5:
-        # Likelier than any other by itself, but the others together say that the body as a whole went the other way.
+        # Likelier than any other alone, but the others together imply that the body moved the other way.
         alternatives = replace(alternatives, chosen=as_fitted[1] - chosen)
     return hypotheses[alternatives.chosen].trajectory, alternatives
 
 
 def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:
-    """The likeliest hypothesis; one that was not fitted to the full images must be clearly likelier."""
+    """Return the likeliest hypothesis; one that was not fitted to the full images must be clearly likelier."""
     handicapped = probability / _CONVINCING
     handicapped[as_fitted] = probability[as_fitted]
     return int((handicapped > handicapped.max() - 1e-5).argmax())  # a tie but for rounding stays what was fitted
@@ -116,7 +116,7 @@ def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:
 def _hypotheses(
     found: Variables, shaped: ShapedBody, objective: Objective, config: DirectionsConfig
 ) -> list[_Hypothesis]:
-    """The fitted motion, then its reversals, the likeliest of them refitted."""
+    """Return the fitted motion, then its reversals, the likeliest of them refitted."""
     moves = _moving_limbs(found.trajectory, shaped, subframe_clock(objective.subframes))
     turned = [
         _evaluate_hypothesis(limbs, reverse_columns(found.trajectory, limb_columns(limbs)), found, objective)
@@ -127,8 +127,8 @@ def _hypotheses(
     doubtful = [index for index, one in enumerate(turned) if low < one.loss < high]
     if not doubtful:
         return [start, *turned]
-    # What was fitted is compared at its best at this picture size too, but it stays what it was; what is not refitted
-    # is taken to gain as much.
+    # The fitted motion is refitted at this image size, too, for the comparison only; hypotheses that are not refitted
+    # are assumed to gain as much.
     compared = _refit(start, found, objective, config.iterations, _REFIT_RATE)
     gain = start.loss - compared.loss
     turned = [replace(one, loss=one.loss - gain) for one in turned]
@@ -138,7 +138,7 @@ def _hypotheses(
 
 
 def _moving_limbs(trajectory: Trajectory, shaped: ShapedBody, clock: Float[Tensor, "S"]) -> Bool[Tensor, "T 5"]:
-    """Limbs whose reversal moves one of their joints; for the torso, any joint."""
+    """Return limbs whose reversal moves one of their joints; for the torso, any joint."""
     frames = trajectory.rotation.shape[0]
 
     def joints(motion: Trajectory) -> Float[Tensor, "T S 24 3"]:
@@ -156,7 +156,7 @@ def _moving_limbs(trajectory: Trajectory, shaped: ShapedBody, clock: Float[Tenso
 
 
 def _turns(moves: Bool[Tensor, "T 5"], each_limb: bool) -> list[Bool[Tensor, "T 5"]]:
-    """Reversals to try: for several frames each one and all of them; for every frame each limb that moves."""
+    """Return reversals to try: for several frames each one and all of them; for every frame each limb that moves."""
     frames, turns = len(moves), []
     whole: Sequence[int | slice] = (*range(frames), slice(None)) if frames > 1 else ()
     places = [tuple(place) for place in moves.nonzero().tolist()] if each_limb else []
@@ -172,7 +172,7 @@ def _terms(trajectory: Trajectory, found: Variables, objective: Objective) -> di
 
 
 def _without_prior(terms: dict[str, Float[Tensor, ""]]) -> dict[str, Float[Tensor, ""]]:
-    """All terms but the motion prior's, which is a separate kind of evidence."""
+    """Return all terms but the motion prior's, which is a separate kind of evidence."""
     return {name: value for name, value in terms.items() if name != "adversarial"}
 
 
@@ -189,12 +189,12 @@ def _evaluate_hypothesis(
 
 
 def _refit(start: _Hypothesis, found: Variables, objective: Objective, iterations: int, rate: float) -> _Hypothesis:
-    """Best iterate of Adam on the motion alone, with a cosine decay of the learning rate."""
+    """Return best iterate of Adam on the motion alone, with a cosine decay of the learning rate."""
     given = start.trajectory
     rotation, translation = (one.detach().clone().requires_grad_() for one in (given.rotation, given.translation))
     free = given.with_coefficients(rotation, translation)
     optimizer = Adam([rotation, translation], _ADAM_EPSILON)
-    best = replace(start, loss=math.inf)  # the start's own loss may be of another picture size
+    best = replace(start, loss=math.inf)  # the start's own loss may be of another image size
     for iteration in range(iterations + 1):
         terms = _terms(free, found, objective)
         total = objective.total(terms)
@@ -209,7 +209,7 @@ def _refit(start: _Hypothesis, found: Variables, objective: Objective, iteration
 
 
 def _evidence(one: _Hypothesis, fitted: float, objective: Objective, shaped: ShapedBody) -> Float[Array, "E"]:
-    """Evidence against a hypothesis, see `EVIDENCE`; `fitted` is the loss of the fitted motion."""
+    """Return evidence against a hypothesis, see `EVIDENCE`; `fitted` is the loss of the fitted motion."""
     against = [torch.zeros(1)] * (len(EVIDENCE) - 1)
     with torch.no_grad():
         if (prior := objective.motion_prior) is not None:

@@ -15,6 +15,7 @@ from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import shipped_radius_mm
 from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
+from hfb.fitting.front_choice import FrontChoice, front_log_odds
 from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.refine import InitialEvidence, predict_initial_evidence
@@ -25,7 +26,7 @@ from hfb.fitting.warmup import fit_skeleton
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.sampled import SampledMotion, sample_motion
-from hfb.motion.static_pose import FirstBody
+from hfb.motion.static_pose import FirstBody, OtherFront
 from hfb.motion.trajectory import Trajectory
 from hfb.objective.objective import Objective
 from hfb.objective.texture import TexelNeighbours, texel_neighbours
@@ -43,19 +44,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A fitted motion and how it was found.
+    """A fitted motion and facts about the fit.
 
     Attributes:
         motion: poses, translations and joints of every sub-frame.
         texture: linear light, the atlas' gutter filled.
         trajectory: polynomials of the best iterate, in metres.
-        mattes: those that the last stage was compared with, as large as the frames.
+        mattes: mattes of the last stage, in the frames' size.
         history: one value per iteration for every unweighted term and the weighted ``total``.
         best_iteration: the iteration that was kept, counted through all stages.
         seconds: wall time of the fit.
         stage_seconds: wall time per stage of the schedule, in its order; of a batch, for all of its fits.
         alternatives: other directions of the motion, where they were searched.
         joint_features: features that the motion's ``joint_radius_mm`` was computed from.
+        front: which front was kept, where both were fitted.
     """
 
     motion: SampledMotion
@@ -68,6 +70,7 @@ class FitResult:
     stage_seconds: dict[str, float] = field(default_factory=dict)
     alternatives: Alternatives | None = None
     joint_features: dict[str, Float[Array, "R 24"]] = field(default_factory=dict)
+    front: FrontChoice | None = None
 
     @property
     def loss(self) -> float:
@@ -83,11 +86,18 @@ class Problem:
         observation: frames, plate and mattes.
         first_bodies: one static body per frame.
         identity: known shape and texture, held fixed; the first bodies must have that shape.
+        other_front: bodies that face the other way, which are fitted too; None where the front is sure.
     """
 
     observation: Observation
     first_bodies: Sequence[FirstBody]
     identity: Identity | None = None
+    other_front: OtherFront | None = None
+
+    def mirrored(self) -> "Problem":
+        """Return the problem that begins from the other front."""
+        assert self.other_front is not None
+        return replace(self, first_bodies=self.other_front.bodies, other_front=None)
 
 
 def fit(
@@ -101,6 +111,7 @@ def fit(
     on_progress: Progress | None = None,
     motion_prior: MotionPrior | None = None,
     identity: Identity | None = None,
+    other_front: OtherFront | None = None,
 ) -> FitResult:
     """Minimise eq. (11) over motion, shape and texture, from one static body per frame.
 
@@ -109,17 +120,18 @@ def fit(
         first_bodies: one static body per frame.
         body: the body model.
         config: options of the fit.
-        seed: of the first velocity's direction.
-        pose_prior: how unlikely each pose is.
+        seed: seed of the first velocity's direction.
+        pose_prior: prior of the pose, L_P of eq. (6).
         on_progress: called at the beginning of every stage and after every iteration; see `Progress`.
-        motion_prior: how people move, for the directions; the shipped one when not given.
+        motion_prior: prior of the motion, for the directions; the shipped one when not given.
         identity: known shape and texture, held fixed; the first bodies must have that shape.
+        other_front: see `Problem`.
 
     Raises:
         InputError: all mattes are empty.
         FloatingPointError: the loss is not finite; the message names the first such terms.
     """
-    problem = Problem(observation, first_bodies, identity)
+    problem = Problem(observation, first_bodies, identity, other_front)
     return fit_all([problem], body, config, seed, pose_prior, on_progress=on_progress, motion_prior=motion_prior)[0]
 
 
@@ -144,8 +156,8 @@ def fit_all(
         problems: observation, first bodies and, where known, identity of each.
         body: the body model.
         config: options of all fits.
-        seed: of the first velocity's direction.
-        pose_prior: how unlikely each pose is.
+        seed: seed of the first velocity's direction.
+        pose_prior: prior of the pose, L_P of eq. (6).
         on_progress: as of `fit`; of a batch with the mean loss.
         motion_prior: as of `fit`.
         batch_size: on a device a batch is padded to this size, so that results do not depend on the other fits in it.
@@ -167,16 +179,27 @@ def fit_all(
 
 def _fit_one(problem: Problem, schedule: "_Schedule", on_progress: Progress | None) -> FitResult:
     config = schedule.config
-    clock = StageClock(sum(stage.iterations for stage in image_stages(config)), on_progress)
+    iterations = sum(stage.iterations for stage in image_stages(config))
+    clock = StageClock(iterations * (1 if problem.other_front is None else 2), on_progress)
+    fitted = _run_to_end(problem, schedule, clock)
+    other = None
+    if problem.other_front is not None:
+        with clock.stage("other_front"):
+            other = _run_to_end(problem.mirrored(), schedule, clock.inner("other front: "))
+    with clock.stage("directions"):
+        result = schedule.finish(fitted, other)
+    return replace(result, stage_seconds=clock.seconds)
+
+
+def _run_to_end(problem: Problem, schedule: "_Schedule", clock: StageClock) -> "_Fitted":
+    """Everything up to the last image stage."""
+    config = schedule.config
     with clock.stage("evidence"):
         start = schedule.start(problem)
     if config.settle > 0:
         with clock.stage("warm_up"):
             fit_skeleton(start.variables, start.objective, config)
-    stages = run_stages(start.variables, start.initial, start.objective, config, clock)
-    with clock.stage("directions"):
-        result = schedule.finish(start, stages)
-    return replace(result, stage_seconds=clock.seconds)
+    return _Fitted(start, run_stages(start.variables, start.initial, start.objective, config, clock))
 
 
 def _fit_batch(
@@ -188,11 +211,38 @@ def _fit_batch(
     }
     if len(kinds) > 1:
         raise ValueError(f"fits of several kinds (frames, exposure, interval, nobody known): {sorted(kinds)}")
+    from hfb.fitting.batched import map_threads
+
+    config = schedule.config
+    doubtful = [place for place, one in enumerate(problems) if one.other_front is not None]
+    iterations = sum(stage.iterations for stage in image_stages(config))
+    clock = StageClock(iterations * (2 if doubtful else 1), on_progress)
+    try:
+        fitted = _run_batch_to_end(problems, schedule, clock, batch_size)
+        others: list[_Fitted | None] = [None] * len(problems)
+        if doubtful:
+            with clock.stage("other_front"):
+                mirrored = [problems[place].mirrored() for place in doubtful]
+                found = _run_batch_to_end(mirrored, schedule, clock.inner("other front: "), batch_size)
+            for place, one in zip(doubtful, found, strict=True):
+                others[place] = one
+    except torch.OutOfMemoryError as error:
+        raise InputError(
+            f"the GPU's memory is too small for {max(batch_size, len(problems))} fits at once: give a smaller "
+            "--fit.batch-size, or take --fit.rasterizer cpu"
+        ) from error
+    with clock.stage("directions"):
+        results = map_threads(schedule.finish, fitted, others)
+    return [replace(one, stage_seconds=clock.seconds) for one in results]
+
+
+def _run_batch_to_end(
+    problems: Sequence[Problem], schedule: "_Schedule", clock: StageClock, batch_size: int
+) -> list["_Fitted"]:
     config = schedule.config
     rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
     from hfb.fitting.batched import Batch, fit_skeletons, ignore_graph_warning, map_threads, run_batched_stages
 
-    clock = StageClock(sum(stage.iterations for stage in image_stages(config)), on_progress)
     with clock.stage("evidence"):
         starts = map_threads(schedule.start, problems)
     batch = Batch(
@@ -203,20 +253,12 @@ def _fit_batch(
         rasterizer,
         batch_size,
     )
-    try:
-        with ignore_graph_warning():
-            if config.settle > 0:
-                with clock.stage("warm_up"):
-                    fit_skeletons(batch)
-            stages = run_batched_stages(batch, clock)
-    except torch.OutOfMemoryError as error:
-        raise InputError(
-            f"the GPU's memory is too small for {max(batch_size, len(problems))} fits at once: give a smaller "
-            "--fit.batch-size, or take --fit.rasterizer cpu"
-        ) from error
-    with clock.stage("directions"):
-        results = map_threads(schedule.finish, starts, stages)
-    return [replace(one, stage_seconds=clock.seconds) for one in results]
+    with ignore_graph_warning():
+        if config.settle > 0:
+            with clock.stage("warm_up"):
+                fit_skeletons(batch)
+        stages = run_batched_stages(batch, clock)
+    return [_Fitted(start, one) for start, one in zip(starts, stages, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -228,6 +270,20 @@ class _Start:
     variables: Variables
     initial: InitialEvidence
     objective: Objective
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A problem after its last stage."""
+
+    start: _Start
+    stages: StagesResult
+
+    @property
+    def loss(self) -> float:
+        """Weighted loss of the best iterate; 0 without iterations."""
+        history = self.stages.history
+        return history["total"][self.stages.best_iteration] if history else 0.0
 
 
 @dataclass(frozen=True)
@@ -261,7 +317,7 @@ class _Schedule:
         return _Start(problem, first_bodies, variables, initial, self._objective(initial, first_bodies))
 
     def _objective(self, initial: InitialEvidence, first_bodies: Sequence[FirstBody]) -> Objective:
-        """Eq. (11) at full size; it renders on the processor."""
+        """Return eq. (11) at full size, rendered on the CPU."""
         config, body = self.config, self.body
         poses = torch.stack([one.pose for one in first_bodies]).to(initial.observation.mattes)
         weights = base_weights(config, len(first_bodies))
@@ -283,11 +339,37 @@ class _Schedule:
             motion_prior=self.motion_prior,
         )
 
-    def finish(self, start: _Start, stages: StagesResult) -> FitResult:
-        """The best iterate as a result, with its directions searched and the radius of every joint."""
+    def finish(self, fitted: _Fitted, other: _Fitted | None = None) -> FitResult:
+        """Keep one front; search the directions of its best iterate and find the radius of every joint.
+
+        Args:
+            fitted: from the first bodies as found.
+            other: from the other front, where it was fitted.
+        """
+        if other is None:
+            return self._complete(fitted)
+        bodies, turned = fitted.start.problem.first_bodies, fitted.start.problem.other_front
+        assert turned is not None
+        difference = other.loss - fitted.loss
+        log_odds = front_log_odds(difference, turned.doubt, [one.source for one in bodies])
+        kept, left = (fitted, other) if log_odds >= 0 else (other, fitted)
+        front = FrontChoice(
+            log_odds=log_odds,
+            loss_difference=difference,
+            doubt=turned.doubt,
+            other=self._result(left).motion,
+        )
+        result = self._complete(kept)
+        alternatives = result.alternatives
+        if alternatives is not None:
+            alternatives = replace(alternatives, other_front=front.as_alternative())
+        return replace(result, front=front, alternatives=alternatives)
+
+    def _complete(self, fitted: _Fitted) -> FitResult:
+        start, stages = fitted.start, fitted.stages
         config, problem = self.config, start.problem
         best = stages.best.in_metres(self.body)
-        result = self._result(best, problem.observation, stages)
+        result = self._result(fitted)
         if not stages.history or not (config.directions.search or problem.identity is not None):
             return result
         # The odds of directions were calibrated with the weights of before the stages of full size.
@@ -298,7 +380,7 @@ class _Schedule:
         # Radii are calibrated with the initial mattes: refined ones share the fit's errors.
         initial = replace(coarse, observation=start.initial.observation.resized(size_px))
         alternatives = None
-        if config.directions.search:  # of a window of a clip the neighbours tell the directions
+        if config.directions.search:  # in a clip the neighbouring windows determine the directions
             trajectory, alternatives = search_directions(best, coarse, stages.objective, config.directions)
             best = replace(best, trajectory=trajectory)
             chosen = alternatives.chosen
@@ -324,8 +406,9 @@ class _Schedule:
         motion = replace(result.motion, joint_radius_mm=radius)
         return replace(result, motion=motion, joint_features=features, alternatives=alternatives)
 
-    def _result(self, best: Variables, seen: Observation, stages: StagesResult) -> FitResult:
-        body, config = self.body, self.config
+    def _result(self, fitted: _Fitted) -> FitResult:
+        body, config, stages, seen = self.body, self.config, fitted.stages, fitted.start.problem.observation
+        best = stages.best.in_metres(body)
         with torch.no_grad():
             shaped = body.shape(best.betas)
         motion = sample_motion(
@@ -355,8 +438,8 @@ def paste_mattes(
     Args:
         whole: mattes of whole frames.
         window: mattes of the window, which may reach outside the frames.
-        left: of the window [px].
-        top: of the window [px].
+        left: left edge of the window [px].
+        top: top edge of the window [px].
     """
     (height, width), (rows, columns) = whole.shape[1:], window.shape[1:]
     pasted = whole.clone()

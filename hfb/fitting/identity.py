@@ -48,7 +48,7 @@ def save_identity(path: Path, identity: Identity) -> None:
     """Write an identity (.npz, no pickle) atomically.
 
     Args:
-        path: where it is written.
+        path: file to write.
         identity: shape and texture.
     """
     write_arrays(path, {"betas": identity.betas.double().numpy(), "texture": identity.texture.float().numpy()})

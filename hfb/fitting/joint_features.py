@@ -19,7 +19,7 @@ from hfb.rendering.texels import texel_faces, visible_texels
 from hfb.typing import Array, Float, Tensor
 
 _FLOOR_M = 0.02
-"""Added to lengths before the logarithm: smaller differences carry no information."""
+"""Constant added to lengths before the logarithm: smaller differences carry no information."""
 
 _SKIN_TEXELS = 64
 
@@ -45,7 +45,7 @@ def joint_features(
     - ``misfit``: log(1 - soft IoU of the re-blurred silhouette and the matte + 0.02).
     - ``unusual``: log of the pose prior's value + 1.
     - ``network``: the joint network's expected error, where the fit used the network.
-    - ``told``: 1 where the fit was told how tall the person is, else 0.
+    - ``told``: 1 where the person's height was given, else 0.
 
     Args:
         motion: the result.
@@ -97,7 +97,7 @@ def _log_m(lengths_m: Array) -> Array:
 
 
 def _reach_m(rest: Float[Tensor, "24 3"]) -> Float[Array, "24"]:
-    """Way along the bones from the pelvis to every joint of the rest pose [m]."""
+    """Return the distance along the bones from the pelvis to every joint of the rest pose [m]."""
     joints, reach = rest.double().numpy(), np.zeros(JOINT_COUNT)
     for joint in range(1, JOINT_COUNT):
         parent = PARENTS[joint]
@@ -106,7 +106,7 @@ def _reach_m(rest: Float[Tensor, "24 3"]) -> Float[Array, "24"]:
 
 
 def _first_joints(first_bodies: Sequence[FirstBody], body: Body) -> Float[Array, "T 24 3"]:
-    """Joints of the first bodies about their pelvis [m]."""
+    """Return joints of the first bodies about their pelvis [m]."""
     dtype, out = body.template.dtype, []
     for first in first_bodies:
         shaped = body.shape(first.betas.to(dtype))
@@ -126,7 +126,7 @@ def _seen_skin(vertices: Float[Tensor, "S V 3"], coarse: Objective) -> Float[Arr
 
 @lru_cache(maxsize=4)
 def _texel_joints(body: Body) -> Array:
-    """For every texel of a small texture the joint that moves its skin most; -1 between the charts."""
+    """Return, for every texel of a small texture, the joint that moves its skin most; -1 between the charts."""
     faces = texel_faces(body.mesh, _SKIN_TEXELS).numpy()
     weights = body.skinning_weights.numpy()[body.mesh.faces.long().numpy()].sum(1)
     return np.where(faces >= 0, weights.argmax(1)[np.maximum(faces, 0)], -1)

@@ -116,8 +116,8 @@ def refine_evidence(
     """Move the evidence by a share of the difference between the predictions for the frame and for the fit's image.
 
     With ``config.fuse_depth`` its depth comes from the fusion network, which weighs both predictions and the fit. The
-    height becomes the fit's, corrected by the whole difference; for a single frame at the first refinement only: one
-    image tells so little of proportions that further corrections add noise.
+    height becomes the fit's, corrected by the whole difference; for a single frame only at the first refinement, since
+    one image determines proportions so poorly that further corrections add noise.
 
     Args:
         joints: evidence to move, with lifted depth.

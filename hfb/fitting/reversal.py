@@ -14,7 +14,7 @@ def reverse_columns(trajectory: Trajectory, columns: Bool[Tensor, "T 25"]) -> Tr
     """Replace c(u) by c(1 - u) in the chosen columns of C, exactly; the others stay.
 
     With v = u - origin, (1 - u - origin)^d = (1 - 2 origin - v)^d is expanded by the binomial theorem: about the middle
-    of the exposure (origin 0.5) the odd coefficients change their signs. All columns at once turn the motion around.
+    of the exposure (origin 0.5) the odd coefficients change their signs. All columns at once reverse the motion.
 
     Args:
         trajectory: polynomials of the motion.
@@ -42,7 +42,7 @@ def limb_columns(limbs: Bool[Tensor, "T 5"]) -> Bool[Tensor, "T 25"]:
 
 
 def _mirror(like: Tensor, origin: float) -> Float[Tensor, "D1 D1"]:
-    """M with sum_d c_d (1 - 2 origin - v)^d = sum_d (M c)_d v^d."""
+    """Return M with sum_d c_d (1 - 2 origin - v)^d = sum_d (M c)_d v^d."""
     count = like.shape[1]
     rows = [
         [

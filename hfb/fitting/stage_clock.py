@@ -22,7 +22,7 @@ class StageClock:
         """Start with no stage.
 
         Args:
-            n_iterations: of all image stages together.
+            n_iterations: number of iterations of all image stages together.
             on_progress: called at the beginning of a stage and after every iteration.
         """
         self.seconds: dict[str, float] = {}
@@ -36,7 +36,7 @@ class StageClock:
         """Time the work inside as one stage.
 
         Args:
-            name: such as `stage_1`.
+            name: name such as `stage_1`.
         """
         self._name = name
         self._report(name.replace("_", " "))
@@ -46,6 +46,20 @@ class StageClock:
         finally:
             self.seconds[name] = time.perf_counter() - started
             _log.debug("fit stage %s: %.2f s", name, self.seconds[name])
+
+    def inner(self, prefix: str) -> "StageClock":
+        """Return a clock for stages inside the current one, whose iterations count here.
+
+        Args:
+            prefix: of what it reports.
+        """
+        done = self._done
+
+        def report(inner_done: int, _: int, note: str) -> None:
+            if self._on_progress:
+                self._on_progress(done + inner_done, self._n_iterations, prefix + note)
+
+        return StageClock(self._n_iterations, report)
 
     def advance(self, n_iterations: int, loss: float) -> None:
         """Report iterations that are done.
@@ -61,7 +75,7 @@ class StageClock:
         """Count iterations that a stage ends without.
 
         Args:
-            n_iterations: that are left out.
+            n_iterations: number of iterations that are left out.
         """
         self._done += n_iterations
 

@@ -118,7 +118,7 @@ def stage_objective(objective: Objective, variables: Variables, config: FitConfi
 
 
 def _find_visible(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:
-    """Texels that the camera sees; they change too slowly to be found again in every iteration."""
+    """Return the visible texels; they change too slowly to be updated in every iteration."""
     vertices = variables.vertices(body, config.subframes).flatten(0, 1)
     return visible_texels(vertices, seen.camera, body.mesh, config.texture_px)
 
@@ -126,7 +126,7 @@ def _find_visible(variables: Variables, seen: Observation, body: Body, config: F
 def _iterations(
     objective: Objective, variables: Variables, optimizer: Adam, config: FitConfig, stage: Stage
 ) -> Iterator[tuple[float, dict[str, float]]]:
-    """Iterations of Adam; yields the loss and its terms before each step."""
+    """Run Adam; yield the loss and its terms before each step."""
     for iteration in range(stage.iterations):
         decay = cosine_decay(iteration, stage.iterations) if stage.cosine else 1.0
         terms = objective.terms(variables.motion(objective.body), variables.betas, variables.texture)

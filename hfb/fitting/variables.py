@@ -23,8 +23,8 @@ from hfb.typing import Float, Tensor
 class Variables:
     """Free variables of one fit: leaf tensors that an optimiser changes in place.
 
-    An image does not tell a tall person far away from a short one nearby. With a ``reference``, a change of shape
-    rescales the translation so that the image size stays: the gradient of the shape is then about proportions.
+    An image does not distinguish a tall person far away from a short one nearby. With a ``reference``, a change of
+    shape rescales the translation so that the image size stays: the gradient of the shape is then about proportions.
 
     Attributes:
         trajectory: polynomials in metres, for a person with the reference's betas where there is a reference.
@@ -104,7 +104,7 @@ class Variables:
         """Copy the values of `other` into these tensors.
 
         Args:
-            other: of the same shapes.
+            other: values of the same shapes.
         """
         with torch.no_grad():
             for mine, its in zip(self.leaves(), other.leaves(), strict=True):
@@ -122,8 +122,8 @@ def cosine_decay(iteration: int, iterations: int) -> float:
     """Return the factor of the learning rate: from 1 to 1/20 along a half cosine.
 
     Args:
-        iteration: from 0 on.
-        iterations: of the stage.
+        iteration: number of the iteration, from 0 on.
+        iterations: number of the stage's iterations.
     """
     return 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / iterations)) / 2
 
@@ -133,7 +133,7 @@ def learning_rates(config: FitConfig, rate: float) -> tuple[float, float, float,
 
     Args:
         config: options of the fit.
-        rate: of the motion.
+        rate: rate of the motion.
     """
     return rate, rate, rate * config.shape_rate, rate * config.texture_rate
 
@@ -147,14 +147,14 @@ def start_variables(
 ) -> Variables:
     """Start values: a body at rest per frame, moving towards its neighbours' where there are several.
 
-    The texture starts at the mean foreground colour. A single frame cannot tell a motion from its reverse, and a body
-    at rest is the saddle point between the two: its root gets a small velocity in a random direction.
+    The texture starts at the mean foreground colour. A single frame does not distinguish a motion from its reverse, and
+    a body at rest is the saddle point between the two: its root gets a small velocity in a random direction.
 
     Args:
         first_bodies: one static body per frame; their mean shape is used.
         observation: for the texture's colour and the frames' times.
         config: options of the fit.
-        generator: of the random direction.
+        generator: draws the random direction.
         identity: known shape and texture, held constant; both are free when not given.
     """
     poses = torch.stack([first.pose for first in first_bodies]).to(observation.mattes)

@@ -35,7 +35,7 @@ def warmup_rate(iteration: int, config: FitConfig) -> float:
     """Return the learning rate of all variables of the skeleton.
 
     Args:
-        iteration: from 0 on.
+        iteration: number of the iteration, from 0 on.
         config: options of the fit.
     """
     return _RATE * cosine_decay(iteration, config.settle)

@@ -1,6 +1,6 @@
-"""The pinhole camera: metres in front of the lens to pixels.
+"""The pinhole camera: projection from metres to pixels.
 
-Frame: OpenCV's (+x right, +y down, +z forward). The picture spans [0, W] x [0, H] and the centre of pixel
+Frame: OpenCV's (+x right, +y down, +z forward). The image spans [0, W] x [0, H] and the centre of pixel
 (row 0, column 0) is at (0.5, 0.5), so that cropping shifts and resizing scales the matrix, nothing else.
 """
 
@@ -13,7 +13,7 @@ from hfb.typing import Float, Tensor
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Focal lengths and principal point [px] of a picture of height x width pixels; no distortion."""
+    """Focal lengths and principal point [px] of an image of height x width pixels; no distortion."""
 
     fx: float
     fy: float
@@ -28,8 +28,8 @@ class PinholeCamera:
 
         Args:
             focal_px: focal length.
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         return PinholeCamera(float(focal_px), float(focal_px), width / 2, height / 2, int(height), int(width))
 
@@ -39,8 +39,8 @@ class PinholeCamera:
 
         Args:
             K: calibration matrix [px].
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         fx, fy, cx, cy = (float(K[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))
         return PinholeCamera(fx, fy, cx, cy, int(height), int(width))
@@ -77,10 +77,10 @@ class PinholeCamera:
         """Return the camera of a window of this image; the window may reach outside it.
 
         Args:
-            left: of the window [px].
-            top: of the window [px].
-            width: of the window [px].
-            height: of the window [px].
+            left: left edge of the window [px].
+            top: top edge of the window [px].
+            width: width of the window [px].
+            height: height of the window [px].
         """
         return replace(self, cx=self.cx - left, cy=self.cy - top, height=int(height), width=int(width))
 
@@ -88,8 +88,8 @@ class PinholeCamera:
         """Return the camera of the same view with another number of pixels.
 
         Args:
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         down, right = height / self.height, width / self.width
         return PinholeCamera(self.fx * right, self.fy * down, self.cx * right, self.cy * down, int(height), int(width))

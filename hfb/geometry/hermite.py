@@ -1,7 +1,7 @@
-"""Two pieces of motion that should meet: how far apart they are, and the cubics that close the gap (Hermite's).
+"""Joining of two motions: the gap between them, and the cubic Hermite curves that close it.
 
-Rotations are looked at as logarithms about the rotation half-way between both sides: there they add up like places, and
-what is continuous in value and derivative is so as a rotation too.
+Rotations are represented by logarithms about the rotation half-way between both sides: there they add up like
+positions, and continuity in value and derivative carries over to the rotation.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from hfb.geometry.rotations import axis_angle_to_quaternion, multiply_quaternion
 from hfb.typing import Float, Tensor
 
 STEP = 1e-4
-"""Of the central differences, in exposures: with double precision their error is some 1e-8."""
+"""Step of the central differences, in exposures: with double precision their error is about 1e-8."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +21,10 @@ class Meeting:
 
     Attributes:
         middle: unit quaternions half-way between both.
-        turn: logarithms [rad] of both about the middle. path: translations [m].
-        turn_rate, path_rate: their derivatives by u.
+        turn: logarithms [rad] of both about the middle.
+        path: translations [m].
+        turn_rate: their derivatives by u.
+        path_rate: their derivatives by u.
     """
 
     middle: Float[Tensor, "E 24 4"]
@@ -57,7 +59,7 @@ class Meeting:
         Args:
             away: time to the meeting, in exposures.
             side: 0 for the earlier motion.
-            reach: from there on nothing is added.
+            reach: distance from which on the correction is zero.
         """
         s = (1 - away / reach).clamp(0, 1)
         sign = 1 - 2 * side
@@ -75,8 +77,8 @@ class Meeting:
         """Return the cubic from the earlier motion's end to the later one's beginning.
 
         Args:
-            share: of the way in time, 0 to 1.
-            span: how long it lasts, in exposures.
+            share: share of the interval in time, 0 to 1.
+            span: length of the bridge, in exposures.
         """
         s = share
         lasts = span[:, None]
@@ -98,7 +100,7 @@ def blend_rotations(
     Args:
         one: unit quaternion at share 0.
         other: unit quaternion at share 1.
-        share: from 0 to 1.
+        share: weight of `other`, from 0 to 1.
     """
     return turned_by(one, share * log_about(one, other))
 

@@ -71,7 +71,7 @@ def align_known(
 ) -> Float[Array, "R J 3"]:
     """Apply `align_similarity` by the known joints of each row; the others move along with them.
 
-    Unknown joints must be finite. A row without a known joint comes out somewhere.
+    Unknown joints must be finite. The position of a row without a known joint is arbitrary.
 
     Args:
         source: points to move.

@@ -67,7 +67,7 @@ def rotate(quaternion: Float[Array, "*a 4"], vector: Float[Array, "*b 3"]) -> Fl
 
     Args:
         quaternion: (w, x, y, z).
-        vector: to rotate.
+        vector: vectors to rotate.
     """
     w, xyz = quaternion[..., :1], quaternion[..., 1:]
     across = 2 * np.cross(xyz, vector)
@@ -89,7 +89,7 @@ def unit(vector: Float[Array, "*n c"]) -> Float[Array, "*n c"]:
     """Return the vector's direction; nearly zero vectors stay so.
 
     Args:
-        vector: of any length.
+        vector: vector of any length.
     """
     return vector / np.maximum(np.sqrt((vector * vector).sum(-1, keepdims=True)), 1e-12)
 
@@ -99,7 +99,7 @@ def share_of(quaternion: Float[Array, "*n 4"], share: float) -> Float[Array, "*n
 
     Args:
         quaternion: (w, x, y, z).
-        share: of the angle.
+        share: share of the angle.
     """
     return from_axis_angle(share * to_axis_angle(quaternion))
 

@@ -1,4 +1,4 @@
-"""Turning with the ray on which something is seen."""
+"""Rotations between view rays."""
 
 import torch
 

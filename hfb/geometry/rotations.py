@@ -10,7 +10,7 @@ from hfb.typing import Float, Tensor
 
 
 def _sinc(angle_squared: Tensor) -> Tensor:
-    """sin(a)/a as a smooth function of a**2, by its series near zero."""
+    """Return sin(a)/a as a smooth function of a**2, by its series near zero."""
     small = angle_squared < 1e-8
     angle = torch.where(small, torch.ones_like(angle_squared), angle_squared).sqrt()
     return torch.where(small, 1 - angle_squared / 6, torch.sin(angle) / angle)

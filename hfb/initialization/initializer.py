@@ -1,4 +1,4 @@
-"""The static body that a fit starts from: by the pose networks where they are, else by the matte alone."""
+"""Initialisers of a fit's static body: by pose networks where available, else by the matte alone."""
 
 from dataclasses import replace
 from typing import Protocol, runtime_checkable
@@ -33,20 +33,31 @@ _WORTH_ANOTHER_LOOK = 0.5  # soft IoU below which the matte's own search is trie
 _CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over one seen by the networks
 _CLEARLY_MOVING = 0.1  # what a straight path must gain over standing still
 _REFINEMENT = (SilhouetteStage(64, 40, 0.02, shape=False), SilhouetteStage(_COMPARE_PX, 30, 0.015))
-_ABOUT_AS_GOOD = 0.03  # a smear hardly shows a pose: the one found at rest is nearer to the truth
-_SAME_DISTANCE = 0.05  # but a smear shows how far away somebody is, and one found at rest is mostly too near
+_ABOUT_AS_GOOD = 0.03  # a smear hardly determines a pose: the one found at rest is nearer to the truth
+_SAME_DISTANCE = 0.05  # but a smear determines the distance, and a body found at rest is mostly too near
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
 _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 
 
 @runtime_checkable
 class Initializer(Protocol):
-    """One static body for one frame."""
+    """Estimates one static body for one frame."""
 
     def __call__(
         self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
     ) -> FirstBody:
-        """The body in camera coordinates. Raises InputError where the matte is empty or no person is found."""
+        """Return the body in camera coordinates.
+
+        Args:
+            frame_linear: blurred frame, linear light.
+            plate_linear: background plate, linear light.
+            matte: the person's alpha in [0, 1].
+            camera: pinhole camera of the frame.
+            body: model of the result.
+
+        Raises:
+            InputError: the matte is empty, or no person is found.
+        """
         ...
 
 
@@ -70,7 +81,11 @@ def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -
 
 
 class MatteInitializer:
-    """Render and compare with generic poses: no network, no colour (see matte_search.py, swept_search.py)."""
+    """Render and compare with generic poses: no network, no colour (see matte_search.py, swept_search.py).
+
+    Args:
+        rasterizer: draws silhouettes.
+    """
 
     def __init__(self, rasterizer: Rasterizer) -> None:
         self._rasterizer = rasterizer
@@ -83,7 +98,12 @@ class MatteInitializer:
 
 
 class LandmarkInitializer:
-    """MediaPipe's landmarks, registered to the body, then laid onto the matte without leaving the landmarks."""
+    """MediaPipe's landmarks, registered to the body, then refined to the matte while staying near the landmarks.
+
+    Args:
+        rasterizer: draws silhouettes.
+        choice: choice among the landmark networks.
+    """
 
     def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer
@@ -115,7 +135,7 @@ class LandmarkInitializer:
         """Register, then refine; the refinement is kept only where it shares more with the matte.
 
         Args:
-            landmarks: of the person.
+            landmarks: landmarks of the person.
             matte: the person's share of each pixel.
             camera: camera of the image.
             body: the body model.
@@ -127,7 +147,12 @@ class LandmarkInitializer:
 
 
 class AutoInitializer:
-    """The networks where they are there and sure, the matte's search where not, the better one where both doubt."""
+    """The networks where available and certain, else the matte's search; where both are uncertain the better one.
+
+    Args:
+        rasterizer: draws silhouettes.
+        choice: choice among the landmark networks.
+    """
 
     def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer
@@ -158,12 +183,12 @@ class AutoInitializer:
 def _searched(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> tuple[FirstBody, float, Float[Tensor, "3"] | None]:
-    """By the matte alone, carried along a path where none at rest covers half of it; what it shares; the path."""
+    """Return the body by the matte alone, its overlap and its path; a path is tried where the overlap is below half."""
     first, shared = search_by_matte(matte, camera, body, rasterizer)
     if shared < _WORTH_ANOTHER_LOOK:
         moving = search_swept(matte, camera, body, rasterizer)
         if moving.shared > shared + _CLEARLY_MOVING:
-            # At rest it fits the densest part alone, often at another distance: from there, and from where the path is.
+            # A body at rest fits only the densest part, often at another distance: start there, and at the path's.
             starts = first, replace(first, translation=moving.first.translation)
             tries = [
                 carried_along(start, moving.travel_m, matte, camera, body, rasterizer, _STAY_ON_THE_WAY)
@@ -178,7 +203,7 @@ def _searched(
 
 
 def _checked(matte: Matte) -> Float[Array, "H W"]:
-    """The matte as an array; one sentence where it shows nobody."""
+    """Return the matte as an array; raise an error where it is empty."""
     alpha = np.clip(np.asarray(matte, np.float32), 0, 1)
     if float(alpha.sum()) < _LEAST_MATTE_PX or float(alpha.max()) < 0.2:
         raise InputError("no person was found: the matte is empty; check the frame and the background plate.")

@@ -12,7 +12,7 @@ _14_OF_17 = (3, 2, 1, 4, 5, 6, 16, 15, 14, 11, 12, 13, 8, 10)
 _LEFT_HIP, _RIGHT_HIP = 1, 2
 
 JOINT_COUNTS: tuple[int, ...] = (JOINT_COUNT, 17, 14)
-"""How many joints the known layouts have."""
+"""Numbers of joints of the known layouts."""
 
 MHR70_AS_24: dict[int, int] = {
     JOINT_NAMES.index(name): keypoint
@@ -38,10 +38,10 @@ MHR70_AS_24: dict[int, int] = {
 def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
     """Return SMPL's 24 joints from 24, from Human3.6M's 17 or from the usual 14; unknown ones are NaN.
 
-    The pelvis of the 14 is the middle of the hips, of which the metrics need it as the centre.
+    The pelvis of the 14 is the middle of the hips, the centre of the metrics.
 
     Args:
-        joints: of one of the layouts of `JOINT_COUNTS`, any unit.
+        joints: joints in one of the layouts of `JOINT_COUNTS`, any unit.
 
     Raises:
         InputError: another number of joints.

@@ -1,7 +1,7 @@
-"""From 2D keypoints to our body: what a picture shows of the joints, and a pose that people take.
+"""Registration of the body to 2D keypoints, with a prior of plausible poses.
 
-Reprojection and priors, as SMPLify (Bogo et al., ECCV 2016); depth is open where only pixels are known, so the nearest
-of some fifty poses, seen from all sides, are where it begins, and the most likely of what they become is kept.
+Reprojection and priors, as in SMPLify (Bogo et al., ECCV 2016). Pixels alone leave the depth open, so the search starts
+from the nearest of about fifty poses, seen from all sides, and keeps the most likely result.
 """
 
 import math
@@ -20,9 +20,9 @@ from hfb.typing import Array, Bool, Float, Tensor
 
 LEAST_KEYPOINTS = 6
 _SPREAD = 0.01
-"""Of keypoints, in units of the person's size in the picture."""
-_ROBUST = 5.0  # spreads from where on one is taken for wrong
-_WIDE = 8.0  # times the spread to begin with: from farther away, too, a joint is drawn to its keypoint
+"""Standard deviation of keypoints, relative to the person's size in the image."""
+_ROBUST = 5.0  # spreads above which a keypoint counts as wrong
+_WIDE = 8.0  # factor of the spread at the start, so that distant joints are attracted to their keypoints, too
 _YAWS, _PITCHES = 16, (-0.35, 0.0, 0.35)
 _STARTS, _LEAST_APART = 4, 3
 _ROUNDS = ((_WIDE, 80, 0.04), (1.0, 80, 0.02))  # spread, iterations, rate
@@ -33,16 +33,16 @@ _NEAREST_M = 0.3
 def register_keypoints(
     pixels: Float[Array, "S 24 2"], camera: PinholeCamera, body: Body, betas: Float[Tensor, "K"] | None = None
 ) -> Registered:
-    """Lay the body onto where a picture shows its joints.
+    """Lay the body onto where an image shows its joints.
 
     Args:
         pixels: SMPL's joints [px], NaN where not seen.
         camera: camera of the image.
         body: the body model.
-        betas: of the person, the mean one's where not given.
+        betas: shape of the person, the mean one's where not given.
 
     Returns:
-        poses before the camera; `residual_m` is what the picture shows, at the body's depth [m].
+        poses before the camera; `residual_m` is what the image shows, at the body's depth [m].
 
     Raises:
         InputError: fewer than six joints are seen at some instant.
@@ -68,7 +68,7 @@ def register_keypoints(
 
 @dataclass(frozen=True)
 class _Seen:
-    """Joints in the picture."""
+    """Joints in the image."""
 
     pixels: Float[Tensor, "S 24 2"]
     known: Bool[Tensor, "S 24"]
@@ -85,12 +85,12 @@ class _Seen:
         return _Seen(torch.where(known[..., None], pixels, torch.zeros_like(pixels)), known, size, camera)
 
     def repeated(self, times: int) -> "_Seen":
-        """Every instant so many times, one after another."""
+        """Return every instant so many times, one after another."""
         pixels, known, size = (one.repeat_interleave(times, 0) for one in (self.pixels, self.known, self.size_px))
         return _Seen(pixels, known, size, self.camera)
 
     def misfit(self, joints: Float[Tensor, "S 24 3"], spread: float) -> tuple[Float[Tensor, "S"], Float[Tensor, "S"]]:
-        """Geman-McClure, so that one keypoint at a wrong place drags nobody along; and the mean distance [m]."""
+        """Return the Geman-McClure loss, which is robust to single wrong keypoints, and the mean distance [m]."""
         in_front = torch.cat([joints[..., :2], joints[..., 2:].clamp_min(_NEAREST_M)], -1)
         apart_px = (self.camera.project(in_front) - self.pixels).norm(dim=-1)
         square = (apart_px / (spread * _SPREAD * self.size_px[:, None])) ** 2 * self.known
@@ -99,7 +99,7 @@ class _Seen:
 
 
 def _nearest(seen: _Seen, shaped: ShapedBody) -> tuple[Float[Tensor, "n 24 3 3"], Float[Tensor, "n 3"]]:
-    """_STARTS poses of the bank per instant, from the side and at the place where they look most like it."""
+    """Return _STARTS poses of the bank per instant, at the view and position that match best."""
     poses, sides = _posed(seen.pixels.dtype), _sides(seen.pixels.dtype)
     pairs = torch.cartesian_prod(torch.arange(len(poses)), torch.arange(len(sides)))
     turns = torch.cat([sides[pairs[:, 1]], poses[pairs[:, 0]]], 1)
@@ -120,7 +120,7 @@ def _nearest(seen: _Seen, shaped: ShapedBody) -> tuple[Float[Tensor, "n 24 3 3"]
 
 
 def _apart_from_each_other(ranked: Tensor, sides: int) -> Tensor:
-    """The best candidate, and the next ones that are seen from another side: numbers of pose times sides plus side."""
+    """Return the best candidate and the next ones from another side: number of the pose times sides plus side."""
     chosen: list[int] = []
     for one in ranked.tolist():
         yaw = one % sides // len(_PITCHES)
@@ -137,7 +137,7 @@ def _posed(dtype: torch.dtype) -> Float[Tensor, "P 23 3 3"]:
 
 
 def _sides(dtype: torch.dtype) -> Float[Tensor, "n 1 3 3"]:
-    """Roots: upright before a camera whose y points down, turned about the vertical and nodding a little."""
+    """Return roots: upright before a camera whose y points down, turned about the vertical and nodding a little."""
 
     def turn(x: float, y: float) -> Tensor:
         return axis_angle_to_matrix(torch.tensor([x, y, 0.0], dtype=dtype))

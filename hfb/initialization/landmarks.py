@@ -2,7 +2,7 @@
 
 The networks are used as their model cards describe them: a detector proposes regions (centre of the hips, size
 and upright direction of the whole body), a second network finds the landmarks in the turned square region, in the
-picture and in metres. The decoding is written from those descriptions. Input pictures are sRGB.
+image and in metres. The decoding is written from those descriptions. Input images are sRGB.
 """
 
 from dataclasses import dataclass
@@ -62,12 +62,14 @@ _REGION_SCALE = 1.25
 
 @dataclass(frozen=True)
 class Region:
-    """A turned square of the picture that should hold the whole person.
+    """A rotated square of the image around the whole person.
 
     Attributes:
-        x, y: its centre [px], near the hips. size: its side [px].
+        x: its centre [px], near the hips.
+        y: its centre [px], near the hips.
+        size: its side [px].
         angle: clockwise turn of the person's upright direction [rad]; 0 stands upright.
-        score: of the detector, 0 to 1.
+        score: the detector's score, 0 to 1.
     """
 
     x: float
@@ -79,14 +81,14 @@ class Region:
 
 @dataclass(frozen=True)
 class Landmarks:
-    """What the second network says about one region.
+    """The second network's result in one region.
 
     Attributes:
-        pixels: x, y [px of the picture] of the 33 points.
+        pixels: x, y [px of the image] of the 33 points.
         world: metres, hips at the origin; x right, y down, z away along the view ray of the region's centre.
-        visibility: probability that a point is inside the picture and not hidden.
+        visibility: probability that a point is inside the image and not hidden.
         score: probability that there is a person in the region.
-        next_region: where the network would look for the same person again.
+        next_region: region for the next pass over the same person.
     """
 
     pixels: Float[Array, "33 2"]
@@ -113,6 +115,9 @@ def networks_ready(choice: LandmarkChoice = "auto") -> bool:
 class PoseNetworks:
     """Both networks, loaded; one thread, deterministic.
 
+    Args:
+        choice: choice among the landmark networks.
+
     Raises:
         InputError: a file or the interpreter is missing; the text says how to get it.
     """
@@ -128,14 +133,14 @@ class PoseNetworks:
 
         Args:
             picture_srgb: the image.
-            least_score: of a detection that is returned.
+            least_score: lowest score of a returned detection.
             most: detections that are returned.
         """
         height, width = picture_srgb.shape[:2]
         side = max(height, width)
         left, top = (side - width) / 2, (side - height) / 2
         scale = _DETECTOR_PX / side
-        # Pixel centres lie at half-integers in the picture, at integers in OpenCV.
+        # Pixel centres lie at half-integers in the image, at integers in OpenCV.
         warp = np.array([[scale, 0, (left + 0.5) * scale - 0.5], [0, scale, (top + 0.5) * scale - 0.5]])
         reduced = _reduce(picture_srgb, scale)
         warp[:, :2] *= picture_srgb.shape[0] / reduced.shape[0]
@@ -192,14 +197,14 @@ def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int
     Args:
         picture_srgb: the image.
         region: square to cut out.
-        side_px: of the result.
+        side_px: side of the result [px].
     """
     scale = min(1.0, 2 * side_px / region.size)
     reduced = _reduce(picture_srgb, scale)
     scale = reduced.shape[0] / picture_srgb.shape[0]
     cosine, sine = np.cos(region.angle), np.sin(region.angle)
     step = region.size / side_px
-    # Crop pixel centre (i + 0.5) -> offset from the region's centre -> picture -> reduced picture's index.
+    # Crop pixel centre (i + 0.5) -> offset from the region's centre -> image -> reduced image's index.
     linear = np.array([[cosine, -sine], [sine, cosine]]) * step
     offset = linear @ np.full(2, 0.5 - side_px / 2) + (region.x, region.y)
     warp = np.hstack([linear * scale, (offset * scale - 0.5)[:, None]])
@@ -207,7 +212,7 @@ def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int
 
 
 def _reduce(picture: Float[Array, "H W 3"], scale: float) -> Float[Array, "h w 3"]:
-    """Area average, so that the following interpolation skips no pixel; never enlarges."""
+    """Average areas so that the following interpolation skips no pixel; never enlarges."""
     picture = np.asarray(picture, np.float32)
     if scale >= 1:
         return picture
@@ -217,7 +222,7 @@ def _reduce(picture: Float[Array, "H W 3"], scale: float) -> Float[Array, "h w 3
 
 
 def _region(hips: Float[Array, "2"], reach: Float[Array, "2"], score: float) -> Region:
-    """The square around the circle through `reach` (above the head of an upright person) about the hips."""
+    """Return the square around the circle through `reach` (above the head of an upright person) about the hips."""
     dx, dy = reach - hips
     angle = np.pi / 2 - np.arctan2(-dy, dx)
     angle -= 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
@@ -227,7 +232,7 @@ def _region(hips: Float[Array, "2"], reach: Float[Array, "2"], score: float) -> 
 
 @lru_cache
 def _anchors() -> Float[Array, "2254 2"]:
-    """Centres of the detector's anchors: two per cell and layer, layers of one stride share a grid."""
+    """Return centres of the detector's anchors: two per cell and layer, layers of one stride share a grid."""
     centres = []
     for stride in sorted(set(_STRIDES)):
         cells = -(-_DETECTOR_PX // stride)
@@ -239,7 +244,7 @@ def _anchors() -> Float[Array, "2254 2"]:
 
 
 def _load(path: Path) -> Any:
-    """An interpreter of LiteRT, which has no types."""
+    """Return an interpreter of LiteRT, which has no types."""
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError:

@@ -1,7 +1,7 @@
-"""From joints to joint angles in closed form: a start for registration that is nearly right.
+"""Joint angles from joints in closed form, a close start for registration.
 
-Down the tree, every joint is turned so that the bones which leave it point the way they are seen to (Kabsch, the
-rotation between two sets of vectors that fits best). A bent elbow or knee tells the twist of its upper limb too.
+Down the tree, every joint is turned so that its child bones point in their observed directions (Kabsch, the best
+rotation between two sets of vectors). A bent elbow or knee determines the twist of its upper limb, too.
 """
 
 import torch
@@ -21,7 +21,7 @@ _HINGES = {
     JOINT_NAMES.index("right_shoulder"): (JOINT_NAMES.index("right_elbow"), (0.0, 1.0, 0.0)),
 }
 _BENT = 0.25
-"""Sine of the angle from which on a hinge tells its axis."""
+"""Sine of the angle above which a hinge's axis is determined."""
 
 
 def rotations_from_joints(
@@ -56,10 +56,10 @@ def kabsch(
     Args:
         rest: vectors of the rest pose.
         seen: the same vectors, rotated.
-        weight: of every vector.
+        weight: weight of every vector.
     """
     product = (seen * weight[..., None]).transpose(1, 2) @ rest
-    # A little of the identity decides what the vectors leave open: the twist about a single bone is none.
+    # A small identity term resolves the ambiguity: the twist about a single bone is zero.
     scale = product.flatten(1).norm(dim=1).clamp_min(1e-9)
     swing = _shortest(rest, seen, weight)
     return nearest_rotations(product + 1e-4 * scale[:, None, None] * swing)
@@ -68,7 +68,7 @@ def kabsch(
 def _shortest(
     rest: Float[Tensor, "S n 3"], seen: Float[Tensor, "S n 3"], weight: Float[Tensor, "S n"]
 ) -> Float[Tensor, "S 3 3"]:
-    """The rotation from the mean rest vector to the mean seen one in their common plane."""
+    """Return the rotation from the mean rest vector to the mean observed one in their common plane."""
     before, after = (
         torch.nn.functional.normalize((vectors * weight[..., None]).sum(1), dim=-1) for vectors in (rest, seen)
     )
@@ -87,7 +87,7 @@ def _bones(
     known: Bool[Tensor, "S 24"],
     above: Float[Tensor, "S 3 3"],
 ) -> tuple[Float[Tensor, "S n 3"], Float[Tensor, "S n 3"], Float[Tensor, "S n"]]:
-    """Vectors that leave a joint at rest and as seen, in the parent's frame, and how much each counts."""
+    """Return vectors that start at a joint, at rest and observed, in the parent's frame, with weights."""
     if joint == 0:
         return _trunk(seen, rest, known)
     ends = _CHILDREN[joint]
@@ -116,7 +116,7 @@ def _bones(
 def _trunk(
     seen: Float[Tensor, "S 24 3"], rest: Float[Tensor, "24 3"], known: Bool[Tensor, "S 24"]
 ) -> tuple[Float[Tensor, "S n 3"], Float[Tensor, "S n 3"], Float[Tensor, "S n"]]:
-    """Points about their middle, for the root: its own bones, or hips and shoulders where those are not known."""
+    """Return points about their middle, for the root: its own bones, or hips and shoulders where those are unknown."""
     own = known[:, _PELVIS].all(1, keepdim=True)
     members = torch.tensor([*_PELVIS, *_SHOULDERS])
     counts = torch.cat([known[:, _PELVIS], known[:, _SHOULDERS] & ~own], 1)

@@ -1,7 +1,7 @@
 """The first body from the matte alone: generic poses from all sides, the best few refined by render and compare.
 
-Needs no network and no colour. What it can't know: a silhouette looks the same from the front and from behind
-(the front is preferred a little), and which leg is which.
+It needs no network and no colour. A silhouette does not determine front and back (the front is preferred a little), nor
+which leg is which.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from hfb.typing import Array, Float, Tensor
 _YAWS = 12
 _ROLLS_DEG = (0.0, 20.0, -20.0, 40.0, -40.0)
 _SIDE_PX = 48
-_SPREAD_PX = 9.0  # root mean square distance from the centre, in the normalised picture
+_SPREAD_PX = 9.0  # root mean square distance from the centre, in the normalised image
 _TEMPLATE_DEPTH_M = 3.5
 _TEMPLATE_PX = 72
 _ROLL_COST = 0.04  # per 40 degrees
@@ -53,7 +53,7 @@ class Templates:
 
 @dataclass(frozen=True)
 class Moments:
-    """Centre [px] and root mean square radius [px] of a picture's weight."""
+    """Centre [px] and root mean square radius [px] of an image's weight."""
 
     x: float
     y: float
@@ -84,7 +84,7 @@ def search_by_matte(
 
 
 def _value(first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer) -> float:
-    """Soft IoU, minus a little for showing the back."""
+    """Return soft IoU, minus a little for showing the back."""
     facing = -float(axis_angle_to_matrix(first.pose[0])[2, 2])
     return overlap(first, level, body, rasterizer) - _BACK_COST * (1 - facing) / 2
 
@@ -146,7 +146,7 @@ def matte_moments(picture: Float[Array, "H W"]) -> Moments:
 
 
 def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.0) -> Float[Array, "s s"]:
-    """Centred, scaled to the common spread, turned clockwise by `turn` [rad]."""
+    """Return the silhouette centred, scaled to the common spread, turned clockwise by `turn` [rad]."""
     scale = _SPREAD_PX / moments.spread
     shrink = max(1, int(1 / (2 * scale)))
     reduced: np.ndarray = np.asarray(picture, np.float32)
@@ -199,7 +199,7 @@ def bank_templates(body: Body) -> Templates:
 def _draw(
     pose: Float[Tensor, "23 3"], roots: Float[Tensor, "Y 3 3"], body: Body
 ) -> list[tuple[Float[Array, "s s"], float, tuple[float, float]]]:
-    """One pose from several sides: normalised silhouette, spread [rad], the pelvis from its centre in spreads."""
+    """Draw one pose from several sides: normalised silhouette, spread [rad], the pelvis from its centre in spreads."""
     rasterizer = make_rasterizer("coverage")
     camera = PinholeCamera.from_focal(_TEMPLATE_PX * _TEMPLATE_DEPTH_M / 2.6, _TEMPLATE_PX, _TEMPLATE_PX)
     shaped = body.shape(torch.zeros(body.shape_count, dtype=body.template.dtype))
@@ -223,9 +223,9 @@ def body_from_template(
 
     Args:
         templates: silhouettes of the bank.
-        index: of the template.
-        roll: about the optical axis [rad].
-        moments: of the matte.
+        index: number of the template.
+        roll: angle about the optical axis [rad].
+        moments: moments of the matte.
         camera: camera of the image.
         body: the body model.
     """
@@ -243,7 +243,7 @@ def body_from_template(
 
 
 def _towards(point: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """The smallest turn from the optical axis to the ray through a point: what looks frontal stays so."""
+    """Return the smallest rotation from the optical axis to the ray through a point, which keeps the view frontal."""
     ray = point / point.norm()
     axis = torch.stack([-ray[1], ray[0], torch.zeros_like(ray[0])])
     sine = axis.norm().clamp_min(1e-9)

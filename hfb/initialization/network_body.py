@@ -1,8 +1,8 @@
 """METRO, the paper's start: a user's exported network, to whose mesh or joints the body is registered.
 
-In: the person's square at 224 px, normalised as ImageNet. Out, told apart by their sizes: a weak-perspective camera
-(3), 14 joints, vertices (431, 1723, 6890); y points down, metres, about the pelvis. SMPL is registered to its own
-mesh, another body to the joints.
+Input: the person's square at 224 px, normalised as ImageNet. Outputs, distinguished by their sizes: a weak-perspective
+camera (3), 14 joints, vertices (431, 1723, 6890); y points down, metres, about the pelvis. SMPL is registered to its
+own mesh, another body to the joints.
 """
 
 from collections.abc import Sequence
@@ -36,10 +36,16 @@ _STAY = Stay(pose=0.05, root=0.1, place=0.1)
 
 
 class MetroBody:
-    """An `Initializer` by a network with METRO's interface."""
+    """An `Initializer` by a network with METRO's interface.
+
+    Args:
+        weights: file of the network.
+        rasterizer: draws silhouettes.
+        mesh_sampling: file that relates METRO's coarse meshes to the full one, or None.
+    """
 
     def __init__(self, weights: Path, rasterizer: Rasterizer, mesh_sampling: Path | None = None) -> None:
-        """Args: see `hfb.config.InitConfig`. Raises InputError where a file is not what it should be."""
+        """Load the files, see `hfb.config.InitConfig`. Raises InputError where a file is not as expected."""
         self._network = load_network(weights)
         self._rasterizer = rasterizer
         self._samplings = () if mesh_sampling is None else read_samplings(mesh_sampling)
@@ -69,7 +75,7 @@ class MetroBody:
 def read_samplings(path: Path) -> tuple[Int[Array, "..."], ...]:
     """Read which vertices of the full mesh METRO's coarse ones keep, the finest first.
 
-    mesh_downsampling.npz holds under ``D`` a sparse matrix per step with a single one in every row (Ranjan et al. 2018,
+    mesh_downsampling.npz has under ``D`` a sparse matrix per step with a single one in every row (Ranjan et al. 2018,
     "Generating 3D faces using convolutional mesh autoencoders", section 3).
 
     Args:
@@ -100,7 +106,7 @@ def registered(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "...
     """Fit the body to a network's mesh, where it is this body's, else to its joints; about the network's origin.
 
     Args:
-        outputs: of the network.
+        outputs: outputs of the network.
         body: the body model.
         samplings: see `read_samplings`; a coarse mesh is taken where there is no full one.
 
@@ -121,7 +127,7 @@ def registered(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "...
 
 
 def _on_mesh(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "..."]]) -> Registered | None:
-    """The body laid onto the finest of its meshes that the network gives."""
+    """Fit the body to the finest mesh that the network gives."""
     if body.betas_space != "smpl":
         return None
     count = len(body.template)
@@ -133,7 +139,7 @@ def _on_mesh(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "..."]
 
 
 def _placed(first: FirstBody, place: Float[Tensor, "3"], body: Body) -> FirstBody:
-    """Before the camera: turned with the ray on which the crop's middle is seen, about the network's origin."""
+    """Place the body before the camera, turned with the ray of the crop's middle, about the network's origin."""
     turn = seen_along(place).to(first.pose)
     root = matrix_to_axis_angle(turn @ axis_angle_to_matrix(first.pose[0]))
     rest = body.rest_joints(first.betas)[0]
@@ -142,7 +148,7 @@ def _placed(first: FirstBody, place: Float[Tensor, "3"], body: Body) -> FirstBod
 
 
 def _find(outputs: Outputs, shapes: Sequence[tuple[int, int]]) -> Float[Array, "n 3"] | None:
-    """The first output with one of these shapes, whatever sides of one it has besides."""
+    """Return the first output with one of these shapes, apart from sides of one."""
     for shape in shapes:
         for array in outputs.arrays:
             if tuple(side for side in array.shape if side != 1) == shape:

@@ -1,4 +1,4 @@
-"""The square around a person that pose networks look at, and where their weak perspective puts a body."""
+"""The square crop around a person for pose networks, and the position of a body by weak perspective."""
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 
     Args:
         matte: the person's share of each pixel.
         margin: share of the box that is added on each side.
-        threshold: of the matte, for its box.
+        threshold: alpha above which a pixel belongs to the matte's box.
 
     Raises:
         InputError: the matte is empty.
@@ -39,10 +39,10 @@ def cut_square(
 
     Args:
         picture: the image.
-        left: of the square [px].
-        top: of the square [px].
-        side: of the square [px].
-        size_px: of the result.
+        left: left edge of the square [px].
+        top: top edge of the square [px].
+        side: side length of the square [px].
+        size_px: side of the result [px].
     """
     height, width = picture.shape[:2]
     inside = picture[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
@@ -62,18 +62,18 @@ def weak_perspective_place(
 ) -> Float[Tensor, "3"]:
     """Return the position of a body [m] whose point X appears at scale (X + (x, y)), the crop spanning -1 to 1.
 
-    The depth at which f / z pixels per metre are scale times half the crop's side, as Kanazawa et al. 2018 have it.
+    The depth is that at which f / z pixels per metre are scale times half the crop's side (Kanazawa et al. 2018).
 
     Args:
-        scale: of the weak perspective.
+        scale: scale of the weak perspective.
         x: shift of the weak perspective.
         y: shift of the weak perspective.
-        centre_px: of the crop.
-        side_px: of the crop.
+        centre_px: centre of the crop [px].
+        side_px: side of the crop [px].
         camera: camera of the image.
 
     Raises:
-        InputError: a scale that is not positive: nobody is in the crop.
+        InputError: a scale that is not positive, so that the crop shows no person.
     """
     if scale <= 0:
         raise InputError(f"the network's camera has the scale {scale:.3g}; its layout may name the wrong output")

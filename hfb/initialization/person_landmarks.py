@@ -1,8 +1,8 @@
-"""The landmarks of the person whom the matte shows: many proposals, the one that agrees best with the matte.
+"""Landmarks of the person in the matte: of many proposals the one that agrees best with it.
 
-Blur makes the detector miss and lets the second network invent limbs; the matte knows where the person is. So
-regions come from the detector and from the matte itself, pictures are the frame and the person alone on gray, and
-every answer is drawn as a stick figure and compared with the matte.
+Blur makes the detector miss and the second network invent limbs, whereas the matte shows where the person is. So
+regions come from the detector and from the matte itself, images are the frame and the person alone on gray, and every
+result is drawn as a stick figure and compared with the matte.
 """
 
 from collections.abc import Iterator
@@ -70,7 +70,7 @@ def find_landmarks(
 def _proposals(
     networks: PoseNetworks, frame: Float[Array, "H W 3"], alone: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> Iterator[Region]:
-    """Regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
+    """Yield regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
     top, left, bottom, right = matte_region(matte, margin=0.3)
     window = (slice(top, bottom), slice(left, right))
     for picture in (frame[window], alone[window]):
@@ -94,7 +94,7 @@ def _proposals(
 
 
 def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
-    """A bystander in the plate is a person too: the region's middle must hold a part of the matte."""
+    """Return whether the region's middle holds a part of the matte, since a bystander in the plate is a person, too."""
     half = max(2, round(region.size * 0.2))
     y, x = round(region.y), round(region.x)
     middle = matte[max(0, y - half) : max(0, y + half), max(0, x - half) : max(0, x + half)]
@@ -105,7 +105,7 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
     """Return the soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
 
     Args:
-        landmarks: of a person.
+        landmarks: landmarks of a person.
         matte: the person's share of each pixel.
     """
     top, left, bottom, right = matte_region(matte, margin=0.25)
@@ -113,7 +113,7 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
     size = (max(8, round((right - left) * scale)), max(8, round((bottom - top) * scale)))
     target = cv2.resize(matte[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
     figure = draw_stick_figure((landmarks.pixels - (left, top)) * scale, (size[1], size[0])).astype(np.float32)
-    # Parts of the figure outside the picture count against it only where the picture could have shown them.
+    # Parts of the figure outside the image count against it only where the image could have shown them.
     return float(np.minimum(target, figure).sum() / max(np.maximum(target, figure).sum(), 1e-6))
 
 

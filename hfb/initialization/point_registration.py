@@ -1,7 +1,7 @@
-"""From another body's joints or vertices to ours: rotations, translation and shape of one person at many instants.
+"""Registration of the body to another model's joints or vertices: rotations, translation and shape.
 
-The paper starts from a network's mesh, to which SMPL is fitted (IPNet's registration). Angles come in closed form
-(`hfb.initialization.limb_angles`), then Adam makes the most likely body of them: Gaussian distances of points, the
+The paper starts from a network's mesh, to which SMPL is fitted (IPNet's registration). Angles are computed in closed
+form (`hfb.initialization.limb_angles`) and refined by Adam to the most likely body: Gaussian distances of points, the
 anatomical prior, betas of unit variance.
 """
 
@@ -23,7 +23,7 @@ from hfb.typing import Array, Bool, Float, Int, Tensor
 _LEAST_JOINTS = 6
 _JOINT_SPREAD_M = 0.012
 _VERTEX_SPREAD_M = 0.02
-"""Of single vertices; neighbours err together, so that hundreds of them are no hundredfold evidence."""
+"""Standard deviation of single vertices; errors of neighbours are correlated, so hundreds of them count less."""
 _PRIOR = 0.1
 _SHAPE_INSTANTS, _CHUNK = 12, 128
 _MOSTLY, _PARTLY, _LEAST_MEMBERS = 0.5, 0.2, 10
@@ -31,7 +31,7 @@ _MOSTLY, _PARTLY, _LEAST_MEMBERS = 0.5, 0.2, 10
 _ENOUGH_VERTICES = 1500
 _ROUNDS, _RATE = 3, 0.02
 _WORTH_OF_A_MESH = 240
-"""As much as ten points at every joint."""
+"""Weight of a mesh, that of ten points at every joint."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,9 @@ class Registered:
     """A body at S instants.
 
     Attributes:
-        poses: axis-angle [rad]. translations: SMPL's [m]. betas: of the one person.
+        poses: axis-angle [rad].
+        translations: SMPL's [m].
+        betas: shape of the one person.
         residual_m: mean distance of the points that were known, per instant.
     """
 
@@ -61,7 +63,7 @@ def register_joints(
         joints: SMPL's [m] in the target frame, NaN where unknown (`hfb.initialization.joint_layouts`).
         body: the body model.
         betas: held fixed where given.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
 
     Raises:
         InputError: fewer than six joints are known at some instant.
@@ -90,17 +92,17 @@ def register_vertices(
 ) -> Registered:
     """Lay the body onto meshes of its own vertices.
 
-    The shape is settled on a dozen instants, the others are then laid on by themselves: memory and results do not
-    depend on how many there are.
+    The shape is fitted to a dozen instants, then the others are fitted one by one, so that memory and results do not
+    depend on their number.
 
     Args:
-        vertices: of this body's mesh [m].
+        vertices: vertices of this body's mesh [m].
         body: the body model.
         betas: known shape; fitted when not given.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
 
     Raises:
-        InputError: meshes of another body; only the model they belong to can be laid onto them.
+        InputError: meshes of another body; only the model that they belong to can be fitted to them.
     """
     if vertices.ndim != 3 or vertices.shape[1] != len(body.template):
         raise InputError(
@@ -163,7 +165,7 @@ def _laid(vertices: Float[Array, "S V 3"], body: Body, betas: Tensor | None, ite
 
 
 def _part_rotations(target: Float[Tensor, "S V 3"], body: Body, betas: Float[Tensor, "K"]) -> Float[Tensor, "S 24 3 3"]:
-    """Each part's rotation by the vertices that move mostly with its joint."""
+    """Return each part's rotation by the vertices that move mostly with its joint."""
     rest = body.shape(betas).vertices
     local: list[Tensor] = []
     world: list[Tensor] = []
@@ -194,8 +196,8 @@ def _shape_given_turns(
     """Fit betas by least squares: with the rotations known, posed points are linear in betas and translation.
 
     Args:
-        body: to fit.
-        rotations: of each joint in its parent's frame.
+        body: body to fit.
+        rotations: rotations of each joint in its parent's frame.
         goal: the points' targets [m].
         known: which targets are known.
         points: selects the points of a posed body.
@@ -220,13 +222,13 @@ def _shape_given_turns(
 def _places(
     found: Float[Tensor, "S n 3"], goal: Float[Tensor, "S n 3"], known: Bool[Tensor, "S n"]
 ) -> Float[Tensor, "S 3"]:
-    """Translations that bring points onto points on average."""
+    """Return the translations that align points on average."""
     weight = known.to(found.dtype)[..., None]
     return ((goal - found) * weight).sum(1) / weight.sum(1)
 
 
 def _shape_of_bones(joints: Float[Tensor, "S 24 3"], known: Bool[Tensor, "S 24"], body: Body) -> Float[Tensor, "K"]:
-    """Betas from the lengths of bones, which no pose changes: least squares about the mean person, with their prior."""
+    """Return betas by the lengths of bones, which no pose changes: least squares with the betas' prior."""
     parents, children = (torch.tensor([bone[end] for bone in BONES]) for end in (0, 1))
     both = (known[:, parents] & known[:, children]).to(joints.dtype)
     length = torch.nan_to_num((joints[:, children] - joints[:, parents]).norm(dim=-1)) * both
@@ -243,7 +245,7 @@ def _shape_of_bones(joints: Float[Tensor, "S 24 3"], known: Bool[Tensor, "S 24"]
 
 @dataclass(frozen=True)
 class Start:
-    """Where `fit_points` begins: turns, places [m] and betas, which may be held."""
+    """The start of `fit_points`: turns, positions [m] and betas, which may be held."""
 
     rotations: Float[Tensor, "S 24 3 3"]
     places: Float[Tensor, "S 3"]
@@ -264,7 +266,7 @@ def fit_points(
         start: turns, places and betas.
         body: the body model.
         misfit: loss of posed joints and vertices.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
         rate: learning rate.
     """
     turns = torch.zeros_like(start.rotations[..., 0]).requires_grad_()

@@ -1,4 +1,4 @@
-"""Some fifty everyday and athletic poses, written down as joint angles: where a search without networks starts.
+"""About fifty everyday and athletic poses as joint angles, the starts of a search without networks.
 
 Angles in degrees. An arm is (raise, azimuth, elbow): 0 hangs down, 90 is horizontal, 180 points up; azimuth 0 is
 sideways, 90 forward, -90 backward; the elbow's bend. A leg is (flexion, abduction, knee): flexion lifts the thigh
@@ -73,7 +73,7 @@ def bank_rotations(dtype: torch.dtype = torch.float32) -> tuple[list[str], Float
     """Return names and axis-angles below the root; asymmetric poses are followed by their mirror image.
 
     Args:
-        dtype: of the result.
+        dtype: precision of the result.
     """
     names, poses = [], []
     for entry in BANK:
@@ -114,7 +114,7 @@ def _rotations(entry: BankPose) -> Float[Tensor, "24 3"]:
 
 
 def _arm(arm: Limb, sign: float) -> tuple[tuple[float, float, float], ...]:
-    """The shortest turn from the rest direction (sideways) to the wanted one, as an axis-angle in degrees."""
+    """Return the shortest turn from the rest direction (sideways) to the wanted one, as an axis-angle in degrees."""
     up, azimuth = radians(arm[0]), radians(arm[1])
     wanted = torch.tensor([sign * sin(up) * cos(azimuth), -cos(up), sin(up) * sin(azimuth)], dtype=torch.float64)
     rest = torch.tensor([sign, 0.0, 0.0], dtype=torch.float64)

@@ -1,7 +1,7 @@
-"""From 33 landmarks to a body in the SMPL layout: pose, translation and a little shape, in camera coordinates.
+"""Registration of the body to 33 landmarks: pose, translation and a little shape, in camera coordinates.
 
-The body's joints and a few surface points (nose, ears, heels, toes) are laid onto the landmarks: their pixels fix
-where things appear, the metric landmarks fix in which direction bones point, an anatomical prior fixes the rest.
+The body's joints and a few surface points (nose, ears, heels, toes) are fitted to the landmarks: their pixels determine
+positions in the image, the metric landmarks the directions of bones, an anatomical prior the rest.
 """
 
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ _LEAST_DEPTH_M = 0.5
 
 @dataclass(frozen=True)
 class Attachments:
-    """Where the landmarks sit on a body: joint plus offset [m] in the joint's rest frame."""
+    """Positions of the landmarks on a body: joint plus offset [m] in the joint's rest frame."""
 
     landmarks: Int[Tensor, "L"]
     joints: Int[Tensor, "L"]
@@ -59,7 +59,7 @@ class Attachments:
         """Return the points [m] on a posed body.
 
         Args:
-            joints: of the posed body [m].
+            joints: joints of the posed body [m].
             R_world_joint: rotation of every joint.
         """
         return joints[self.joints] + (R_world_joint[self.joints] @ self.offsets[..., None]).squeeze(-1)
@@ -109,10 +109,10 @@ def register(
     landmark counts as much as the network is sure to see it.
 
     Args:
-        landmarks: of the person.
+        landmarks: landmarks of the person.
         camera: camera of the image.
         body: the body model.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
         source: recorded in the result.
     """
     dtype = body.template.dtype
@@ -154,7 +154,7 @@ def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.nda
     """Rotate the metric landmarks from "along the region's view ray" to "along the optical axis".
 
     Args:
-        landmarks: of the person.
+        landmarks: landmarks of the person.
         camera: camera of the image.
     """
     ray = np.array([(landmarks.region.x - camera.cx) / camera.fx, (landmarks.region.y - camera.cy) / camera.fy, 1.0])
@@ -170,7 +170,7 @@ def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
     """Return a pose with arms down and knees hardly bent: nearer to most poses than the rest pose T.
 
     Args:
-        dtype: of the result.
+        dtype: precision of the result.
     """
     pose = torch.zeros(24, 3, dtype=dtype)
     for name, value in {
@@ -182,7 +182,7 @@ def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
 
 
 def _first_root(shaped: ShapedBody, attachments: Attachments, world: Float[Tensor, "33 3"]) -> Float[Tensor, "3 3"]:
-    """Kabsch: the rotation of the rest trunk (shoulders, hips) that fits the landmarks' trunk best."""
+    """Return the rotation of the rest trunk (shoulders, hips) that fits the landmarks' trunk best (Kabsch)."""
     rest = torch.stack([shaped.joints[JOINT_NAMES.index(name)] for name in _TRUNK])
     seen = torch.stack([world[LANDMARK[name]] for name in _TRUNK])
     rest, seen = rest - rest.mean(0), seen - seen.mean(0)
@@ -206,7 +206,7 @@ def _first_translation(
     pixels: Float[Tensor, "33 2"],
     sure: Float[Tensor, "33"],
 ) -> Float[Tensor, "3"]:
-    """Where a body of this size must stand to appear at these pixels: linear in the translation.
+    """Return the position of a body of this size that appears at these pixels: linear in the translation.
 
     For every landmark f (X + t_x) = (u - c_x) (Z + t_z), and the same for y, weighted by certainty.
     """
@@ -238,7 +238,7 @@ def _spread(points: Float[Tensor, "n 3"]) -> Float[Tensor, ""]:
 
 @dataclass(frozen=True)
 class _Targets:
-    """What the body is laid onto: pixels with certainties, unit directions with weights and their landmark pairs."""
+    """Targets of the body: pixels with certainties, unit directions with weights and their landmark pairs."""
 
     pixels: Float[Tensor, "33 2"]
     sure: Float[Tensor, "33"]
@@ -257,7 +257,7 @@ def _targets(pixels: Float[Tensor, "33 2"], world: Float[Tensor, "33 3"], sure: 
 def _misfit(
     points: Float[Tensor, "L 3"], attachments: Attachments, camera: PinholeCamera, targets: _Targets
 ) -> Float[Tensor, ""]:
-    """Robust reprojection in units of the trunk, and 1 - cosine of the directions."""
+    """Return robust reprojection errors in units of the trunk, and 1 - cosine of the directions."""
     in_front = torch.cat([points[:, :2], points[:, 2:].clamp_min(_LEAST_DEPTH_M / 2)], 1)
     trunk_px = camera.fx * 0.5 / points[:, 2].detach().mean().clamp_min(_LEAST_DEPTH_M)
     miss = (camera.project(in_front) - targets.pixels[attachments.landmarks]) / trunk_px
@@ -278,8 +278,8 @@ def follow_chain(
 
     Args:
         rest: joints of the rest pose [m].
-        rotations: of every joint in its parent's frame.
-        translation: of the body [m].
+        rotations: rotations of every joint in its parent's frame.
+        translation: translation of the body [m].
     """
     places, turns = [rest[0] + translation], [rotations[0]]
     for joint, parent in enumerate(PARENTS[1:], start=1):

@@ -1,8 +1,8 @@
-"""Render and compare: move one static body until its silhouette covers the matte.
+"""Render and compare: refine one static body until its silhouette covers the matte.
 
-The matte of a blurred frame is the mean of many silhouettes; a static body can't equal it, but the one that
-shares most with it lies in the middle of the motion. Where a person crosses more than their own width, it covers the
-densest part instead, and is too far away: there the body is carried along a straight line, and the mean compared.
+The matte of a blurred frame is the mean of many silhouettes; a static body cannot equal it, but the one with the
+largest overlap is in the middle of the motion. Where a person moves by more than their own width, it covers only the
+densest part, and is too far away: there the body is moved along a straight line, and the mean is compared.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from hfb.typing import Array, Float, Tensor
 _MARGIN = 0.2
 _LEAST_DEPTH_M = 0.4
 SWEPT_INSTANTS = 5
-"""Of a straight path; where a person crosses several widths, the mean is lumpy, which a matte at 64 px hardly shows."""
+"""Number of instants of a straight path; over several widths the mean is lumpy, hardly visible in a matte at 64 px."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Level:
 
 @dataclass(frozen=True)
 class SilhouetteStage:
-    """A stretch of the refinement: the longer side [px], iterations, learning rate of the angles [rad].
+    """A stage of the refinement: the longer side [px], iterations, learning rate of the angles [rad].
 
-    shape: whether the betas move too; without them an iteration costs a third.
+    With `shape` the betas are refined, too; without them an iteration costs a third.
     """
 
     size_px: int
@@ -51,7 +51,7 @@ class SilhouetteStage:
 
 @dataclass(frozen=True)
 class Stay:
-    """How strongly variables are held at their start: per rad^2, per relative distance^2; and the priors' weights."""
+    """Weights that hold variables at their start, per rad^2 and per relative distance^2, and the priors' weights."""
 
     pose: float = 0.0
     root: float = 0.0
@@ -66,7 +66,7 @@ def matte_level(matte: Float[Array, "H W"], camera: PinholeCamera, size_px: int)
     Args:
         matte: the person's share of each pixel.
         camera: camera of the image.
-        size_px: of the longer side of the result.
+        size_px: longer side of the result [px].
     """
     top, left, bottom, right = matte_region(matte, margin=_MARGIN)
     cut, inside = matte[top:bottom, left:right], camera.crop(left, top, right - left, bottom - top)
@@ -131,7 +131,7 @@ def refine(
         body: the body model.
         rasterizer: renders the silhouettes.
         stages: image sizes and iterations.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     return refine_all([first], None, matte, camera, body, rasterizer, stages, stay)[0][0]
 
@@ -156,7 +156,7 @@ def refine_swept(
         body: the body model.
         rasterizer: renders the silhouettes.
         stages: image sizes and iterations.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     (found,), moved = refine_all([first], travel_m[None], matte, camera, body, rasterizer, stages, stay)
     assert moved is not None
@@ -183,7 +183,7 @@ def refine_all(
         body: the body model.
         rasterizer: renders the silhouettes.
         stages: image sizes and iterations.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
 
     Raises:
         ValueError: several bodies whose betas differ, or a stage that moves them.
@@ -200,7 +200,7 @@ def refine_all(
 
 
 def _carried(vertices: Float[Tensor, "V 3"], travel_m: Float[Tensor, "3"]) -> Float[Tensor, "S V 3"]:
-    """The posed body at evenly spaced instants of its path."""
+    """Return the posed body at evenly spaced instants of its path."""
     instants = torch.linspace(-0.5, 0.5, SWEPT_INSTANTS, dtype=vertices.dtype)
     return vertices + (instants[:, None] * travel_m.to(vertices))[:, None]
 
@@ -214,7 +214,7 @@ def _refine_at(
     stage: SilhouetteStage,
     stay: Stay,
 ) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
-    """Adam works on each number by itself, so the sum of the bodies' losses moves each as its own loss would."""
+    """Run Adam at one size; it treats each number separately, so bodies in one sum do not influence each other."""
     dtype = body.template.dtype
     prior = AnatomicalPrior()
     start_poses = torch.stack([one.pose for one in firsts]).to(dtype)
@@ -275,14 +275,14 @@ def _refine_at(
 
 
 def _to_view(translations: Float[Tensor, "N 3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "N 3"]:
-    """(x / z, y / z, log z) of the pelvis."""
+    """Return (x / z, y / z, log z) of the pelvis."""
     pelvis = body.joint_template[0] + body.joint_shape_directions[0] @ betas + translations
     depth = pelvis[:, 2].clamp_min(_LEAST_DEPTH_M)
     return torch.stack([pelvis[:, 0] / depth, pelvis[:, 1] / depth, depth.log()], 1)
 
 
 def _from_view(views: Float[Tensor, "N 3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "N 3"]:
-    """The translations that put the pelvis there."""
+    """Invert `_to_view`: return the translations."""
     depth = views[:, 2].exp()
     pelvis = torch.stack([views[:, 0] * depth, views[:, 1] * depth, depth], 1)
     return pelvis - body.joint_template[0] - body.joint_shape_directions[0] @ betas

@@ -1,7 +1,8 @@
-"""The first body of somebody who crosses more than their own width during the exposure.
+"""Search for the first body of a person who moves by more than their own width during the exposure.
 
-Then no static silhouette covers half of the matte: it is wide, thin and nowhere opaque. A straight path is searched
-together with the body: generic poses, smeared along the picture's axes by as much as the matte is wider than they are.
+In such a frame no static silhouette covers half of the matte, which is wide, thin and nowhere opaque. A straight path
+is searched together with the body: generic poses are smeared along the image's axes until they are as wide as the
+matte.
 """
 
 from dataclasses import dataclass, replace
@@ -89,12 +90,12 @@ def carried_along(
 
     Args:
         first: a static body.
-        path_m: of the body, from the first to the last instant.
+        path_m: path of the body, from the first to the last instant.
         matte: the person's share of each pixel.
         camera: camera of the image.
         body: the body model.
         rasterizer: renders the silhouettes.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     rough = replace(_ROUGH, learning_rate=0.03)
     first, travel = refine_swept(first, path_m, matte, camera, body, rasterizer, [rough], stay)
@@ -112,7 +113,7 @@ def refined_swept(
         camera: camera of the image.
         body: the body model.
         rasterizer: renders the silhouettes.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     first, travel = refine_swept(swept.first, swept.travel_m, matte, camera, body, rasterizer, [_FINE], stay)
     level = matte_level(matte, camera, _FINE.size_px)
@@ -120,7 +121,7 @@ def refined_swept(
 
 
 def _spreads(matte: Float[Array, "H W"]) -> tuple[float, float, float, float]:
-    """Centre [px] and variances [px^2] across and down."""
+    """Return centre [px] and variances [px^2] across and down."""
     total = max(float(matte.sum(dtype=np.float64)), 1e-9)
     told = []
     for axis in (0, 1):
@@ -135,7 +136,7 @@ def _spreads(matte: Float[Array, "H W"]) -> tuple[float, float, float, float]:
 def _best_starts(
     matte: Float[Array, "H W"], centre: tuple[float, float], variances: tuple[float, float], templates: Templates
 ) -> list[_Start]:
-    """Every template, smeared along each axis until it is as wide and as high as the matte; the best that differ."""
+    """Smear every template along each axis to the matte's width and height; return the best that differ."""
     ranked = []
     shrunk, ratio = _reduced(matte, 9 * np.sqrt(max(variances)))
     for index, picture in enumerate(templates.pictures):
@@ -160,14 +161,14 @@ def _best_starts(
 
 
 def _reduced(matte: Float[Array, "H W"], extent_px: float) -> tuple[Float[Array, "h w"], float]:
-    """The matte shrunk by area until its extent is about the canvas, and by how much."""
+    """Reduce the matte until its extent is about the canvas; return it and the factor."""
     ratio = min(1.0, 2 * _CANVAS_PX / max(extent_px, 1.0))
     size = (max(1, round(matte.shape[1] * ratio)), max(1, round(matte.shape[0] * ratio)))
     return cv2.resize(np.asarray(matte, np.float32), size, interpolation=cv2.INTER_AREA), ratio
 
 
 def _at_scale(matte: Float[Array, "h w"], centre: tuple[float, float], scale: float) -> Float[Array, "s s"]:
-    """The matte about its centre, so small that `scale` of its pixels are one of the canvas."""
+    """Reduce the matte about its centre so that `scale` of its pixels are one of the canvas."""
     warp = np.array(
         [[scale, 0, centre[0] - 0.5 - scale * _CANVAS_PX / 2], [0, scale, centre[1] - 0.5 - scale * _CANVAS_PX / 2]]
     )
@@ -176,7 +177,7 @@ def _at_scale(matte: Float[Array, "h w"], centre: tuple[float, float], scale: fl
 
 
 def _smeared(picture: Float[Array, "a a"], path_px: float, axis: int) -> Float[Array, "s s"]:
-    """A template in the middle of the canvas, averaged along its path."""
+    """Average a template in the middle of the canvas along its path."""
     room = (_CANVAS_PX - len(picture)) // 2
     placed = np.pad(picture, (room, _CANVAS_PX - len(picture) - room)).astype(np.float32)
     length = max(1, round(path_px))

@@ -1,8 +1,8 @@
-"""From another system's result to first bodies before our camera.
+"""First bodies from another system's result.
 
-A system's camera is rarely the clip's: most assume a focal length, some of many metres. What a body looks like is
-kept: its root appears at the same pixel and in the same size, and is turned with the ray on which it is seen, since a
-body at the picture's edge is seen from the front by a lens far away, and a little from the side by a wide one.
+A system's camera is rarely the clip's: most assume a focal length, some of many metres. The appearance is kept: the
+root appears at the same pixel and in the same size, and is turned with its view ray, since a body at the image's edge
+is seen from the front by a lens far away, and a little from the side by a wide one.
 """
 
 from dataclasses import replace
@@ -39,12 +39,12 @@ _STAY_UNPLACED = Stay(pose=0.05, root=0.02)
 def body_at(track: PoseTrack, frame: int, camera: PinholeCamera, body: Body) -> FirstBody | None:
     """Return the first body of a frame; None where the system saw nobody.
 
-    The translation is NaN where the system says nothing about a camera: see `on_matte`.
+    The translation is NaN where the system gives no camera: see `on_matte`.
 
     Args:
         track: with poses (`with_poses`).
         frame: its number.
-        camera: of the clip.
+        camera: camera of the clip.
         body: the model that is fitted; betas count only where they are this model's.
 
     Raises:
@@ -95,7 +95,7 @@ def with_poses(track: PoseTrack, body: Body) -> PoseTrack:
 
 
 def _with_seen_poses(track: PoseTrack, pixels: Float[Array, "R 24 2"], body: Body) -> PoseTrack:
-    """The mean person laid onto where the joints are seen, before the camera that the track assumes."""
+    """Fit the mean person to the visible joints, before the camera that the track assumes."""
     if track.K is None or track.size is None:
         raise InputError(f"the {track.system} result has keypoints without a camera")
     camera = PinholeCamera.from_matrix(torch.from_numpy(track.K[0]), *track.size)
@@ -119,14 +119,14 @@ def on_matte(
 ) -> FirstBody:
     """Fit the body to the matte while keeping its pose near; keep the result only where its overlap is larger.
 
-    A body without a place is given one first: as high and in the middle of what the matte shows; where its turn is not
-    known either, twelve are tried.
+    A body without a position gets one first, by the matte's height and middle; where its turn is unknown, too, twelve
+    are tried.
 
     Args:
-        first: to start from.
+        first: body to start from.
         turn_is_known: whether the root's rotation about the vertical is known.
-        matte: of the frame, in [0, 1].
-        camera: of the frame.
+        matte: matte of the frame, in [0, 1].
+        camera: camera of the frame.
         body: the model that is fitted.
         rasterizer: draws silhouettes.
 
@@ -150,14 +150,14 @@ def on_matte(
 
 
 def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], body: Body) -> float:
-    """Return the mean of a matte at a person's projected joints, which tells whose matte it is.
+    """Return the mean of a matte at a person's projected joints, which identifies the person of the matte.
 
-    0 where the system did not see them in that frame, or knows no camera.
+    It is 0 where the system has no row for that frame, or no camera.
 
     Args:
         track: with poses or joints.
-        frame: the system's number of the matte's picture.
-        matte: of the frame, in [0, 1].
+        frame: the system's number of the matte's image.
+        matte: matte of the frame, in [0, 1].
         body: model that gives the joints of poses.
     """
     row = np.flatnonzero(track.frames == frame)
@@ -175,7 +175,7 @@ def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], bod
 
 
 def _joints_at(track: PoseTrack, row: int, camera: PinholeCamera, body: Body) -> Float[Tensor, "n 3"]:
-    """Those in front of the system's own camera [m]."""
+    """Return the joints in front of the system's own camera [m]."""
     if track.poses is None:
         joints = torch.from_numpy(track.joints[row]) if track.joints is not None else torch.zeros(0, 3)
     else:
@@ -210,7 +210,7 @@ def _rest_pelvis(body: Body, betas: Float[Tensor, "K"]) -> Float[Tensor, "3"]:
 def _before_camera(
     pose: Float[Tensor, "24 3"], pelvis: Float[Tensor, "3"], theirs: PinholeCamera, ours: PinholeCamera
 ) -> tuple[Float[Tensor, "24 3"], Float[Tensor, "3"]]:
-    """What appears the same before our camera."""
+    """Return the position with the same appearance before our camera."""
     if float(pelvis[2]) <= 0:
         raise InputError("the result has a body behind its camera")
     if all(abs(getattr(theirs, name) / getattr(ours, name) - 1) < _SAME for name in ("fx", "fy", "cx", "cy")):
@@ -223,14 +223,14 @@ def _before_camera(
 
 
 def _yawed(first: FirstBody, angle: float) -> FirstBody:
-    """Turned about the vertical."""
+    """Turn the body about the vertical."""
     turn = axis_angle_to_matrix(first.pose.new_tensor([0.0, angle, 0.0]))
     root = matrix_to_axis_angle(turn @ axis_angle_to_matrix(first.pose[0]))
     return replace(first, pose=torch.cat([root[None], first.pose[1:]]))
 
 
 def _placed(first: FirstBody, level: Level, body: Body) -> FirstBody:
-    """Where the silhouette's box is the matte's: its height by the depth, its middle by the rest."""
+    """Move the body so that its silhouette's box is the matte's: height by the depth, middle by x and y."""
     shaped = body.shape(first.betas.to(body.template.dtype))
     turns = axis_angle_to_matrix(first.pose.to(body.template.dtype))[None]
     points = shaped.pose(turns, turns.new_zeros(1, 3)).vertices[0]

@@ -1,4 +1,4 @@
-"""Named arrays out of .npz and .npy files of unknown origin: sizes are checked first, and nothing is unpickled."""
+"""Reading of .npz and .npy files of unknown origin: sizes are checked first, and nothing is unpickled."""
 
 import io
 import math
@@ -18,7 +18,7 @@ _FILE_LIMIT, _MEMBER_LIMIT, _NAME_LIMIT = 1 << 30, 10_000, 1000
 _NUMBERS_AND_TEXTS = "fiubUS"
 
 Objects = Callable[[bytes], Any]
-"""What is to be made of the pickle in an array of objects, e.g. by `hfb.io.safe.pickle_reader.load_pickle`."""
+"""A reader of the pickle in an array of objects, e.g. `hfb.io.safe.pickle_reader.load_pickle`."""
 
 
 def read_arrays(
@@ -60,11 +60,11 @@ def names_in(file: Path | bytes) -> tuple[str, ...]:
 def weights_file(path: Path) -> io.BytesIO:
     """Copy a file of torch.save to memory for torch.load, which would inflate packed members without a limit.
 
-    torch packs nothing. An archive is written anew from the members that were looked at, since two readers of
-    archives may find different ones in the same bytes.
+    torch compresses nothing. An archive is written anew from the checked members, since two readers of archives may
+    find different ones in the same bytes.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         OSError: no file there, or it cannot be read.
@@ -94,7 +94,7 @@ def weights_file(path: Path) -> io.BytesIO:
 def _opened(file: Path | bytes) -> zipfile.ZipFile:
     if isinstance(file, Path) and file.stat().st_size > _FILE_LIMIT:
         raise ValueError(f"it is larger than {_FILE_LIMIT >> 20} MB")
-    if isinstance(file, Path) and not file.is_file():  # a pipe would be waited for
+    if isinstance(file, Path) and not file.is_file():  # opening a pipe would block
         raise ValueError("it is no plain file")
     try:
         return zipfile.ZipFile(io.BytesIO(file) if isinstance(file, bytes) else file)
@@ -112,7 +112,7 @@ def _members(archive: zipfile.ZipFile) -> Mapping[str, zipfile.ZipInfo]:
 
 
 def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    """A member's bytes: never more than its announced size."""
+    """Read a member's bytes, never more than its announced size."""
     try:
         with archive.open(info) as member:
             content = member.read(info.file_size)

@@ -13,7 +13,7 @@ def temporary_beside(path: Path, suffix: str = "") -> Path:
 
     Args:
         path: the file to be written.
-        suffix: of a file whose writer goes by the suffix; ``path`` is then given without it.
+        suffix: ending of a file whose writer goes by it; ``path`` is then given without it.
     """
     return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part{suffix}")
 
@@ -22,7 +22,7 @@ def leftover_of(name: str) -> str | None:
     """Return the target's name of a killed writer's temporary file; None for any other file.
 
     Args:
-        name: of a file.
+        name: name of a file.
     """
     found = _TEMPORARY.fullmatch(name)
     return found[1] + (found[2] or "") if found else None
@@ -32,7 +32,7 @@ def write_bytes_atomic(path: Path, data: bytes) -> None:
     """Write `data` to `path`; a reader (or a crash) sees the old file or the new one, never half of one.
 
     Args:
-        path: of the file; its folder is created.
+        path: the file; its folder is created.
         data: content.
     """
     path = Path(path)
@@ -53,7 +53,7 @@ def sync_folder(folder: Path) -> None:
     """Make a rename durable, where the system can (not on every network file system).
 
     Args:
-        folder: of the renamed file.
+        folder: the renamed file's folder.
     """
     try:
         descriptor = os.open(folder, os.O_RDONLY)

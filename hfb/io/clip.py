@@ -1,8 +1,8 @@
-"""clip.toml: what is known about a recording besides its pictures.
+"""clip.toml: facts about a recording besides its images.
 
     transfer = "srgb"              # how the files store light: "srgb" (default), "linear", "bt709" or "gamma22"
-    video = "walk.mp4"             # or a folder of pictures, beside this file
-    scan = "progressive"           # its frames are whole pictures, although they are flagged as interlaced
+    video = "walk.mp4"             # or a folder of images, beside this file
+    scan = "progressive"           # its frames are whole images, although they are flagged as interlaced
     start_s = 1.5                  # time range of the video [s], or in frames: start = 45, stop = 90 (exclusive)
     stop_s = 3.0
     background = "plate.png"       # or "median" (over time), or "still" (a span in which nobody moves)
@@ -23,7 +23,7 @@
     frame = 0
     track = "tracks.csv"           # or a track of another system's file, with its id
     id = 3
-    height_m = 1.82                # soles to crown, where it is known: no picture shows it
+    height_m = 1.82                # soles to crown, where it is known: no image shows it
 
 Every entry may be left out. Files are named relative to this one and lie in its folder, or below: a clip that somebody
 hands over must not be able to show what lies elsewhere.
@@ -47,13 +47,13 @@ _Row = tuple[float, float, float]
 
 
 class _ClipRecord(Record):
-    """Numbers are finite."""
+    """A record whose numbers are finite."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
 
 class ClipCamera(_ClipRecord):
-    """A calibration of the full picture [px]; pixel (0, 0)'s centre lies at (0.5, 0.5)."""
+    """A calibration of the full image [px]; the centre of pixel (0, 0) is at (0.5, 0.5)."""
 
     focal_px: FocalPx | None = None
     K: tuple[_Row, _Row, _Row] | None = None
@@ -79,7 +79,7 @@ class ClipCamera(_ClipRecord):
 
 
 class ClipExposure(_ClipRecord):
-    """When the shutter was open. At most one of the three lengths, or ``auto``: what the footage itself tells."""
+    """The exposure. At most one of the three lengths, or ``auto``, which reads the footage's metadata."""
 
     fps: FramesPerS | None = None
     seconds: ExposureSeconds | None = None
@@ -100,7 +100,7 @@ class ClipExposure(_ClipRecord):
         """Return the exposure [s] for a frame interval; None where the file does not state one.
 
         Args:
-            interval_s: from frame to frame.
+            interval_s: time from frame to frame.
         """
         if self.shutter_fraction is not None:
             return self.shutter_fraction * interval_s
@@ -110,12 +110,12 @@ class ClipExposure(_ClipRecord):
 
 
 class PersonChoice(_ClipRecord):
-    """Whom to follow where several people are seen: the largest, who stands in a box, or a track of another system.
+    """The person to follow where several are seen: the largest, the one in a box, or another system's track.
 
-    Everyone: each of them in turn, as if each had been chosen.
+    `everyone` follows each of them in turn, as if each had been chosen.
 
     Attributes:
-        height_m: how tall the person is, where it is known.
+        height_m: the person's height, where it is known.
     """
 
     which: Literal["largest", "everyone"] = "largest"
@@ -141,7 +141,7 @@ class PersonChoice(_ClipRecord):
 
 
 class Clip(_ClipRecord):
-    """The content of a clip.toml; ``Clip()`` knows nothing."""
+    """The content of a clip.toml; ``Clip()`` states nothing."""
 
     transfer: Literal["srgb", "linear", "bt709", "gamma22"] = "srgb"
     video: Path | None = None
@@ -175,7 +175,7 @@ def read_clip(path: Path) -> Clip:
         InputError: the file is missing, no TOML, holds an entry that is unknown or impossible, or names a file that
             does not lie in its folder.
     """
-    with suppress(OSError):  # told by the reader
+    with suppress(OSError):  # reported by the reader
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise InputError(f"{path} is no file but a pipe, a device or a socket: put the file itself there")
     clip = to_record(Clip, read_toml(path), str(path))
@@ -191,7 +191,7 @@ def read_clip(path: Path) -> Clip:
 
 
 def _beside(clip: Path, name: Path) -> Path:
-    """A file that a clip.toml names. Raises InputError where it, or what a link leads to, lies elsewhere."""
+    """Resolve a file that a clip.toml names. Raises InputError where it, or a link's target, is elsewhere."""
     place = clip.parent / name
     try:
         place.exists()  # a name that is too long is found out here

@@ -1,4 +1,4 @@
-"""JSON files that may come from anywhere: bounded, and refused in one sentence that names the file."""
+"""Reading of JSON files of unknown origin: limited in size, with errors that name the file."""
 
 import json
 import math
@@ -17,14 +17,14 @@ def read_json(path: Path, fix: str = "make the result again") -> Any:
     """Read a JSON file; every number in it is finite.
 
     Args:
-        path: of the file.
+        path: the file.
         fix: ends the sentence of an error.
 
     Raises:
         InputError: it is missing, no plain file, too large, no JSON or nested without end.
     """
     try:
-        if not path.is_file():  # a pipe in its place would be waited for
+        if not path.is_file():  # opening a pipe would block
             raise InputError(f"{path} is {'no file' if path.exists() else 'missing'}: {fix}")
         size = path.stat().st_size
         if size > JSON_LIMIT_BYTES:
@@ -43,7 +43,7 @@ def read_json(path: Path, fix: str = "make the result again") -> Any:
 
 
 def _check_depth(content: Any) -> None:
-    """Raises RecursionError where it is nested deeper than anything of hfb: whoever walks through it would fail."""
+    """Raise RecursionError where it is nested deeper than any file of hfb, since recursive readers would fail."""
     level = [content]
     for _ in range(_DEEPEST):
         parents = (one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list))

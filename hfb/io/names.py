@@ -1,4 +1,4 @@
-"""Names of files as text: what a server, a record or a line of a log can hold. Light to import."""
+"""File names as text for servers, records and logs. Light to import."""
 
 
 def is_text(name: object) -> bool:
@@ -18,6 +18,6 @@ def shown_name(name: str) -> str:
     """Return a file's name for a line of text: control characters and undecodable bytes as escapes.
 
     Args:
-        name: of a file.
+        name: name of a file.
     """
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in name)

@@ -1,4 +1,4 @@
-"""Access to folders that may come from somebody else: symbolic links and special files are refused, never followed.
+"""Access to folders of unknown origin: symbolic links and special files are refused, never followed.
 
 The folder that a user names may itself be a link or lie below one. Below it, every component of a path is opened with
 O_NOFOLLOW relative to the descriptor of its parent, and a file must be a regular file: a named pipe would block, a
@@ -26,14 +26,14 @@ _KINDS = {
 
 
 class NotOrdinary(TemporaryError):
-    """A symbolic link or a special file lies where hfb would open, list or remove something."""
+    """A symbolic link or a special file is where hfb would open, list or remove something."""
 
 
 def special_kind(path: Path) -> str | None:
     """Name what a path is that is neither a regular file nor a folder; None for these two and for a missing one.
 
     Args:
-        path: of the entry.
+        path: the file or folder.
     """
     try:
         return _KINDS.get(stat.S_IFMT(path.lstat().st_mode))
@@ -45,7 +45,7 @@ def is_regular(path: Path) -> bool:
     """Return whether `path` is a regular file, not a link to one.
 
     Args:
-        path: of the entry.
+        path: the file or folder.
     """
     try:
         return stat.S_ISREG(path.lstat().st_mode)
@@ -90,7 +90,7 @@ def entries_below(folder: Path) -> Iterator[Path]:
     """Yield everything in a folder and in the folders below it that is no folder itself; links are not followed.
 
     Args:
-        folder: to list.
+        folder: folder to list.
 
     Raises:
         NotOrdinary: folders are nested more deeply than hfb nests any, or may not be read.
@@ -198,7 +198,7 @@ def check_readable(path: Path) -> None:
     """Check that a path, links followed, neither blocks nor acts when it is opened.
 
     Args:
-        path: that a user named.
+        path: path from the user.
 
     Raises:
         OSError: it is a named pipe, a device or a socket, or missing.
@@ -208,7 +208,7 @@ def check_readable(path: Path) -> None:
 
 
 def _make(name: str, folder: int) -> None:
-    with suppress(FileExistsError):  # of whatever kind: told when it is opened
+    with suppress(FileExistsError):  # of any kind: reported when it is opened
         os.mkdir(name, dir_fd=folder)
 
 

@@ -23,7 +23,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: the file is missing or no TOML.
@@ -55,7 +55,7 @@ def to_record(record: type[RecordT], content: dict[str, Any], source: str) -> Re
     Args:
         record: class of the result.
         content: plain values.
-        source: of the content, for errors.
+        source: source of the content, for errors.
 
     Raises:
         InputError: an entry is unknown or impossible; the sentence names the first one.

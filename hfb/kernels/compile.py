@@ -1,7 +1,7 @@
-"""How kernels are compiled: once per machine, whatever the process, and again when any of their sources changes.
+"""Compilation and caching of kernels: once per machine, and again when any of their sources changes.
 
-All compiled code lives in this room and has one hash, which names the folder that keeps it: another clone, or a
-package that was moved, finds the kernels of the same sources; a change in any file compiles all of them again.
+All compiled code is in this package and has one hash, which names its cache folder: another clone, or a package that
+was moved, uses the kernels of the same sources; a change in any file compiles all of them again.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -41,7 +41,7 @@ SUM_INLINE = {**_SUM, "forceinline": True}
 
 @lru_cache
 def _sources() -> str:
-    """The hash of all that decides what is compiled, but the processor (which numba's index tells apart)."""
+    """Return the hash of all that determines the machine code but the CPU (which numba's index distinguishes)."""
     files = sorted(Path(__file__).parent.rglob("*.py"))
     versions = f"{numba.__version__} {llvmlite.__version__}".encode()
     return sha256(versions + b"".join(file.read_bytes() for file in files)).hexdigest()
@@ -49,12 +49,12 @@ def _sources() -> str:
 
 _DAMAGED = OSError, EOFError, pickle.UnpicklingError, ValueError, LookupError, AttributeError, ImportError, RuntimeError
 _KEPT_DAYS = 60
-_LOCKED_S = 300.0  # far longer than one kernel takes: whoever holds the lock so long has stopped
+_LOCKED_S = 300.0  # far longer than one kernel takes: the lock's owner has died by then
 _log = logging.getLogger(__name__)
 
 
 class _SourcesLocator(_CacheLocator):
-    """Where a function's machine code is kept: a folder that is named by the sources, not by their place."""
+    """The cache folder of a function's machine code, named by the hash of the sources, not by their place."""
 
     def __init__(self, folder: Path, py_func, py_file):
         self._folder, self._py_file = folder, py_file
@@ -78,7 +78,7 @@ class _SourcesLocator(_CacheLocator):
 
 
 def _places(file: Path) -> Iterator[Path]:
-    """Folders to keep machine code in, the preferred one first."""
+    """Yield folders for machine code, the preferred one first."""
     if config.CACHE_DIR:
         yield Path(config.CACHE_DIR)
     yield platformdirs.user_cache_path("hfb") / "kernels"
@@ -87,7 +87,7 @@ def _places(file: Path) -> Iterator[Path]:
 
 @lru_cache
 def _prepared(place: Path) -> Path:
-    """The sources' folder in a place, which can be written; folders of sources that nobody used lately are removed."""
+    """Return the sources' folder in a writable place; folders that were not used lately are removed."""
     folder = place / f"hfb-{_sources()[:16]}"
     folder.mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()
@@ -105,10 +105,10 @@ class _SourcesCacheImpl(CompileResultCacheImpl):
 
 
 class _SourcesCache(FunctionCache):
-    """Numba's own cache looks at the file of the cached function and its place; its callees here live in several files.
+    """A cache for functions whose callees are in several files; numba's own checks only the function's file.
 
-    It goes into `NUMBA_CACHE_DIR`, the user's cache, beside the sources, or else into a temporary folder; a damaged one
-    is made again. Of several processes that need a kernel which nobody has compiled, one compiles it.
+    It is in `NUMBA_CACHE_DIR`, the user's cache, beside the sources, or else in a temporary folder; a damaged one is
+    rebuilt. Of several processes that need a kernel that is not compiled yet, one compiles it.
     """
 
     _impl_class = _SourcesCacheImpl
@@ -179,7 +179,7 @@ def _use_temporary_folder():
 
 
 def _private_folder():
-    """A folder that nobody else can write: what lies in it is run."""
+    """Return a folder that only this user can write, since its content is executed."""
     folder = Path(tempfile.gettempdir()) / f"hfb-kernels-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
@@ -200,7 +200,7 @@ def entry(function):
     """Compile a function that Python calls, and cache the machine code for later processes.
 
     Args:
-        function: to compile.
+        function: function to compile.
     """
     return _cached(njit(**JIT)(function), function)
 
@@ -209,7 +209,7 @@ def loop_entry(function):
     """Apply `entry` to a function that allocates nothing.
 
     Args:
-        function: to compile.
+        function: function to compile.
     """
     return _cached(njit(**LOOP)(function), function)
 
@@ -218,6 +218,6 @@ def sum_entry(function):
     """Apply `loop_entry`, and let the compiler reorder sums.
 
     Args:
-        function: to compile.
+        function: function to compile.
     """
     return _cached(njit(**_SUM)(function), function)

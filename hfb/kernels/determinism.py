@@ -1,4 +1,4 @@
-"""What makes a result the same on every machine with the same libraries."""
+"""Settings that make a result the same on every machine with the same libraries."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

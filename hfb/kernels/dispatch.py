@@ -1,7 +1,7 @@
-"""Which form of a formula runs: the compiled kernels, or the readable torch that they are tested against.
+"""The choice between compiled kernels and the readable torch formulas that they are tested against.
 
-Compiled kernels take tensors in the processor's memory, of one fit. The readable form runs on any device, and under
-`torch.func.vmap`, which gives tensors of many fits to a formula written for one.
+Compiled kernels accept tensors of one fit in the CPU's memory. The readable form runs on any device, and under
+`torch.func.vmap`, which passes tensors of many fits to a formula written for one.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ def compiled(tensor: Shaped[Tensor, "..."]) -> bool:
     """Return whether the compiled kernels accept this tensor.
 
     Args:
-        tensor: of a formula.
+        tensor: an argument of the formula.
     """
     return tensor.device.type == "cpu" and not _readable.get()
 
@@ -44,6 +44,6 @@ def constant(values: tuple | float, dtype: torch.dtype, device: torch.device) ->
     Args:
         values: number or nested tuples of numbers.
         dtype: precision.
-        device: of the tensor.
+        device: device of the tensor.
     """
     return torch.tensor(values, dtype=dtype, device=device)

@@ -1,4 +1,4 @@
-"""Compiled parts: a step of Adam (Kingma and Ba, Adam: A Method for Stochastic Optimization, 2015, algorithm 1)."""
+"""Compiled step of Adam (Kingma and Ba, Adam: A Method for Stochastic Optimization, 2015, algorithm 1)."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

@@ -1,4 +1,4 @@
-"""Compiled: how well moving layers explain a picture, the gradients of that, and the descent. In single precision."""
+"""Compiled objective of moving layers, its gradients and its descent, in single precision."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 
@@ -17,7 +17,7 @@ _SLOW, _FAST, _LEAST = np.float32(0.9), np.float32(0.95), np.float32(1e-8)  # Ad
 
 @njit(**INLINE)
 def _split(place, length):
-    """The pixel before a place and the share of the one behind it; places outside count as the border."""
+    """Return the pixel before a position and the share of the next one; positions outside count as the border."""
     inside = min(max(place, _ZERO), np.float32(length - 1))
     before = min(int(inside), length - 2)
     return before, inside - np.float32(before)
@@ -25,7 +25,7 @@ def _split(place, length):
 
 @njit(**INLINE)
 def _shares(right, low):
-    """Of the pixels top left, top right, bottom left and bottom right."""
+    """Return the bilinear weights of the pixels top left, top right, bottom left and bottom right."""
     across, both = right * (_ONE - low), right * low
     return _ONE - low - across, across, low - both, both
 
@@ -114,7 +114,7 @@ def smear_gradient(layer, way, given, of_layer, of_way):
 
 @njit(**INLINE)
 def _cell(place, length, cells):
-    """Of a grid whose first and last lie at the ends."""
+    """Return the cell and share of a grid whose first and last points are at the ends."""
     return _split(np.float32(place) * np.float32(cells - 1) / np.float32(length - 1), cells)
 
 
@@ -320,7 +320,7 @@ def objective(scene, weights, base, outline, roots, bend, way, layers, of_outlin
 
 @njit(**INLINE)
 def _adam(variables, gradient, rate, step, moments):
-    """One step; moments (2, n) are the running means of gradient and square."""
+    """Run one step; moments (2, n) are the running means of gradient and square."""
     first, second = moments
     scale = rate / (_ONE - _SLOW**step)
     unbiased = _ONE / (_ONE - _FAST**step)
@@ -338,7 +338,7 @@ def descend(scene, weights, base, rates, steps, logits, roots, bend, way, layers
         scene: see `unexplained`.
         weights: R, S, C and O of `unexplained` and `oddness`, and that of `bending`.
         base: (H, W, 2), way before the grid is added [px].
-        rates: of the outline's logits, of the roots and of the grid; 0 keeps it fixed.
+        rates: learning rates of the outline's logits, of the roots and of the grid; 0 keeps one fixed.
         steps: number of steps.
         logits: (H, W), of the outline, updated.
         roots: (H, W, 3), square roots of its linear colours, updated.

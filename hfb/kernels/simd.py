@@ -1,8 +1,7 @@
-"""What kernels write in the compiler's own language: several neighbouring numbers at a time, in one register.
+"""SIMD operations of the kernels, written in LLVM: several neighbouring numbers in one register.
 
-The compiler that numba brings does not pack neighbouring numbers by itself where it cannot rule out that the arrays
-overlap, or tests for it at every call; so a few steps are written for it. Positions are counted in numbers from the
-beginning of an array without gaps.
+Numba's compiler does not vectorise where it cannot rule out that arrays overlap, or tests for it at every call; so a
+few steps are written by hand. Positions are counted in numbers from the beginning of a contiguous array.
 """
 # mypy: ignore-errors
 # (builds code for numba: its types are not mypy's)
@@ -22,8 +21,8 @@ def address(context, builder, array_type, array, position, count):
         context: numba's target context.
         builder: llvmlite's builder.
         array_type: numba's type of the array.
-        array: to access.
-        position: of the first number in the array.
+        array: array to access.
+        position: position of the first number in the array.
         count: number of numbers.
     """
     data = context.make_array(array_type)(context, builder, array).data
@@ -38,8 +37,8 @@ def load(context, builder, array_type, array, position, count):
         context: numba's target context.
         builder: llvmlite's builder.
         array_type: numba's type of the array.
-        array: to access.
-        position: of the first number in the array.
+        array: array to access.
+        position: position of the first number in the array.
         count: number of numbers.
     """
     pointer, _, align = address(context, builder, array_type, array, position, count)
@@ -90,15 +89,15 @@ def positions(context, builder, signature, arguments, wanted):
     Args:
         context: numba's target context.
         builder: llvmlite's builder.
-        signature: of the function.
-        arguments: of the function.
+        signature: signature of the function.
+        arguments: arguments of the function.
         wanted: numbers of the arguments.
     """
     return [context.cast(builder, arguments[k], signature.args[k], types.intp) for k in wanted]
 
 
 class _Lanes(types.Type):
-    """So many numbers side by side, in compiled code alone."""
+    """The type of several neighbouring numbers, in compiled code alone."""
 
     def __init__(self, number, count) -> None:
         super().__init__(name=f"{count} {number}")
@@ -115,7 +114,7 @@ register_model(_Lanes)(lambda manager, kind: models.PrimitiveModel(manager, kind
 
 
 def _widened(context, builder, kind, value, lanes=_lanes):
-    """Lanes as they are; a number into every lane."""
+    """Return lanes as they are; a number in every lane."""
     if isinstance(kind, _Lanes):
         return value
     return splat(builder, context.cast(builder, value, kind, lanes.number), lanes.vector)
@@ -151,7 +150,7 @@ def lanes(typingctx, number):
 
     Args:
         typingctx: numba's typing context.
-        number: to repeat.
+        number: number to repeat.
     """
     kind = _eight.get(number, _lanes)
 
@@ -201,8 +200,8 @@ def store_lanes(typingctx, array, position, value):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
-        position: of the first number in the array.
+        array: array to access.
+        position: position of the first number in the array.
         value: lanes.
     """
 
@@ -222,8 +221,8 @@ def load_apart(typingctx, array, position, stride):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
-        position: of the first number in the array.
+        array: array to access.
+        position: position of the first number in the array.
         stride: numbers from one lane to the next.
     """
     kind = _eight[array.dtype]
@@ -247,8 +246,8 @@ def store_apart(typingctx, array, position, stride, value):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
-        position: of the first number in the array.
+        array: array to access.
+        position: position of the first number in the array.
         stride: numbers from one lane to the next.
         value: lanes.
     """
@@ -323,7 +322,7 @@ def with_last(typingctx, four, number):
     Args:
         typingctx: numba's typing context.
         four: four lanes.
-        number: of the last lane.
+        number: number of the last lane.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -338,7 +337,7 @@ def four(typingctx, number):
 
     Args:
         typingctx: numba's typing context.
-        number: to repeat.
+        number: number to repeat.
     """
     kind = _four[types.float64]
 
@@ -426,10 +425,11 @@ def _choice(comparison):
 
 
 if_less = intrinsic(_choice("<"))
-"""In every lane `then` where left < right, else `otherwise`: of (left, right, then, otherwise), lanes or numbers."""
+"""Select, in every lane, `then` where left < right, else `otherwise`: of (left, right, then, otherwise), lanes or
+numbers."""
 
 if_equal = intrinsic(_choice("=="))
-"""As `if_less`, where left and right are equal."""
+"""`if_less` for left == right."""
 
 
 def _extreme(comparison):
@@ -448,7 +448,7 @@ smaller = intrinsic(_extreme("<"))
 """The smaller number in every lane; the second where one is not a number: of (left, right), lanes or numbers."""
 
 larger = intrinsic(_extreme(">"))
-"""As `smaller`, the larger number."""
+"""`smaller` for the larger number."""
 
 
 def _bits(comparison):
@@ -468,7 +468,7 @@ where_more = intrinsic(_bits(">"))
 """A bit per lane, the lowest the first: whether left > right: of (left, right), lanes or numbers."""
 
 where_no_less = intrinsic(_bits(">="))
-"""As `where_more`, whether left >= right."""
+"""`where_more` for left >= right."""
 
 
 @intrinsic
@@ -515,7 +515,7 @@ def insert_sorted(typingctx, sorted_lanes, number):
     Args:
         typingctx: numba's typing context.
         sorted_lanes: ascending.
-        number: to insert.
+        number: number to insert.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -550,8 +550,8 @@ def prefetch(typingctx, array, position):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
-        position: of the first number in the array.
+        array: array to access.
+        position: position of the first number in the array.
     """
 
     def codegen(context, builder, signature, arguments):

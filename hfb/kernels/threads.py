@@ -1,7 +1,7 @@
-"""A few worker threads of our own for compiled kernels, which release Python's lock.
+"""Worker threads for compiled kernels, which release Python's lock.
 
-Not numba's: its default layer aborts the process when several Python threads use it, another kills a forked
-child. A child of fork() starts without workers (threads do not survive a fork) and makes its own.
+Numba's own threads are not used: the default layer aborts the process when several Python threads use it, another kills
+a forked child. A child of fork() starts without workers (threads do not survive a fork) and makes its own.
 """
 
 import os
@@ -37,7 +37,7 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 def run_tasks(task: Callable[[int], Result], tasks: int, threads: int) -> list[Result]:
     """Return [task(0), ..., task(tasks - 1)], run by the calling thread and at most `threads` - 1 others.
 
-    Safe from several threads at once: whoever calls works through its own tasks, helped where workers are free.
+    Safe from several threads at once: the caller runs its own tasks, helped by free workers.
 
     Args:
         task: called with its number.

@@ -1,7 +1,7 @@
-"""Compiled kernels as torch operators, and the short way past torch's dispatcher where nobody but autograd looks.
+"""Compiled kernels as torch operators, with a faster path where only autograd is used.
 
-torch.compile and export see a registered operator. Called by itself one costs 25 to 33 us more there and back than a
-plain autograd function with the same kernels and the same way back, and some of the kernels take no longer than that.
+torch.compile and export need a registered operator. Called directly, one costs 25 to 33 us more, forward and backward,
+than a plain autograd function with the same kernels, and some of the kernels take no longer than that.
 """
 
 from __future__ import annotations
@@ -21,13 +21,17 @@ def arrays(*tensors: Tensor) -> list[Array]:
     """Return contiguous arrays of tensors, in the tensors' own memory where they are contiguous.
 
     Args:
-        *tensors: to convert.
+        *tensors: tensors to convert.
     """
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
 class Operator:
     """A function of tensors that computes in numpy.
+
+    Args:
+        name: name of the operator, such as ``hfb::skin``.
+        function: takes tensors and numbers, computes in numpy.
 
     Attributes:
         registered: the operator as torch.compile, export and `torch.library.opcheck` take it.
@@ -38,7 +42,7 @@ class Operator:
         self._direct = function
 
     def __call__(self, *arguments: Any) -> Any:
-        """The registered operator where torch traces, with tensors of its own kinds; else the function, past it."""
+        """Call the registered operator where torch traces, with tensors of its kinds; else the function directly."""
         if torch.compiler.is_compiling() or not all(
             type(one) in _PLAIN for one in arguments if isinstance(one, Tensor)
         ):
@@ -82,7 +86,7 @@ def operator(name: str) -> Callable[[Callable[..., Any]], Operator]:
     """Return a decorator that makes an `Operator`; types are the schema, as of `torch.library.custom_op`.
 
     Args:
-        name: of the operator, such as ``hfb::skin``.
+        name: name of the operator, such as ``hfb::skin``.
     """
     return lambda function: Operator(name, function)
 
@@ -94,7 +98,7 @@ def measure(name: str, moving: int) -> Callable[[Callable[..., Any]], Operator]:
     backward pass is a product.
 
     Args:
-        name: of the operator, such as ``hfb::skin``.
+        name: name of the operator, such as ``hfb::skin``.
         moving: number of differentiable arguments.
     """
 

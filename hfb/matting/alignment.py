@@ -1,10 +1,10 @@
-"""A plate that lies a pixel beside the frame: find the small movement between them, and undo it.
+"""Alignment of a plate that is shifted by some pixels.
 
-A tripod that was touched, a plate of another take, a phone's crop that follows the lens: every edge of the background
-would look like a person's. The movement (shift, turn, scale) is found by Gauss-Newton on gray pictures, coarse to fine
-(Lucas and Kanade 1981), with weights that leave the person out (Geman and McClure), exposure gain and offset beside it.
-Between pixels both search and result take B-splines. OpenCV's cubic kernel (a = -0.75) lands up to 0.05 px too
-far, its Lanczos kernel rounds places to 1/32 px, and linear interpolation blurs, which biases the search.
+Where a tripod was touched, a plate is of another take, or a phone's crop follows the lens, every edge of the background
+would look like a person's. The movement (shift, turn, scale) is found by Gauss-Newton on gray images, coarse to fine
+(Lucas and Kanade 1981), with weights that exclude the person (Geman and McClure), together with exposure gain and
+offset. Both search and result interpolate with B-splines: OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off, its
+Lanczos kernel rounds positions to 1/32 px, and linear interpolation blurs, which biases the search.
 """
 
 from dataclasses import dataclass
@@ -22,19 +22,20 @@ _SETTLED_PX = 0.001
 _DEGREE, _FINEST_DEGREE = 3, 5  # of splines
 _LEAST_PX = 0.02
 MOST_PX = 4.0
-"""How far a plate is moved, in a picture of 640 px."""
+"""Largest movement of a plate, in an image of 640 px."""
 _LEAST_GAIN = 0.04  # by which the differences at edges must fall
 _EDGE_SHARE = 0.3
-_LEAST_EDGE = 0.004  # a plain wall cannot tell
+_LEAST_EDGE = 0.004  # a plain wall does not determine it
 
 
 @dataclass(frozen=True)
 class Movement:
-    """Where the frame's pixels lie in the plate, about the picture's middle.
+    """A small similarity from the frame's pixels to the plate's, about the image's middle.
 
     Attributes:
-        shift: right and down, as a share of the picture's longer side.
-        scale, turn: x' = x + scale x - turn y, y' = y + turn x + scale y.
+        shift: right and down, as a share of the image's longer side.
+        scale: x' = x + scale x - turn y, y' = y + turn x + scale y.
+        turn: x' = x + scale x - turn y, y' = y + turn x + scale y.
     """
 
     shift: Float[Array, "2"]
@@ -45,8 +46,8 @@ class Movement:
         """Return the affine map from pixel indices of the frame to pixel indices of the plate.
 
         Args:
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         turned = np.array([[1 + self.scale, -self.turn], [self.turn, 1 + self.scale]])
         middle = np.array([(width - 1) / 2, (height - 1) / 2])
@@ -57,8 +58,8 @@ class Movement:
         """Return how far the image's corners move [px].
 
         Args:
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         half = np.hypot(height, width) / 2
         return float(np.hypot(*self.shift) * max(height, width) + half * np.hypot(self.scale, self.turn))
@@ -85,9 +86,9 @@ def moved_plate(plate_linear: Float[Array, "H W 3"], movement: Movement) -> Floa
 
     Args:
         plate_linear: linear light in [0, 1], from the same camera in the same size.
-        movement: from frame to plate, by `find_movement`.
+        movement: movement from frame to plate, by `find_movement`.
     """
-    # large pictures are shrunk before a matte is found, which removes what the higher degree keeps
+    # large images are shrunk before a matte is found, which removes what the higher degree keeps
     degree = _FINEST_DEGREE if max(plate_linear.shape[:2]) <= _LEVELS_PX[-1] else _DEGREE
     channels = np.moveaxis(plate_linear, -1, 0)
     moved = [_moved(_spline(channel, degree), movement, degree) for channel in channels]
@@ -120,7 +121,7 @@ def find_movement(
 
 
 def _gray(picture_linear: Float[Array, "H W 3"]) -> Float[Array, "h w"]:
-    """sRGB, the mean of the channels, no larger than the finest level."""
+    """Return the mean of the sRGB channels, no larger than the finest level."""
     height, width = picture_linear.shape[:2]
     scale = min(1.0, _LEVELS_PX[-1] / max(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -136,13 +137,13 @@ def _shrunk(picture: Float[Array, "H W"], longer_px: int) -> Float[Array, "h w"]
 
 
 def _spline(picture: Float[Array, "h w"], degree: int = _DEGREE) -> Float[Array, "h w"]:
-    """The coefficients of the B-spline through the pixels."""
+    """Return the coefficients of the B-spline through the pixels."""
     pixels = np.asarray(picture, np.float32)
     return np.asarray(ndimage.spline_filter(pixels, degree, output=np.float32, mode="nearest"))
 
 
 def _moved(spline: Float[Array, "h w"], movement: Movement, degree: int = _DEGREE) -> Float[Array, "h w"]:
-    """A plate, given as its spline, where the frame's pixels lie."""
+    """Resample a plate, given as its spline, at the frame's pixels."""
     matrix = movement.matrix(*spline.shape)
     turn_yx, offset_yx = matrix[::-1, 1::-1], matrix[::-1, 2]
     moved = ndimage.affine_transform(
@@ -157,14 +158,14 @@ def _slopes(picture: Float[Array, "h w"]) -> tuple[Float[Array, "h w"], Float[Ar
 
 
 def _edges(across: Float[Array, "h w"], down: Float[Array, "h w"]) -> Array:
-    """Indices of the steepest pixels, those at the border left out."""
+    """Return indices of the steepest pixels, without those at the border."""
     steep = np.hypot(across, down)
     steep[:4], steep[-4:], steep[:, :4], steep[:, -4:] = 0, 0, 0, 0
     return np.flatnonzero(steep.ravel() > max(_LEAST_EDGE, float(np.quantile(steep, 1 - _EDGE_SHARE))))
 
 
 def _improved(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array, "h w"], most_px: float) -> Movement:
-    """Gauss-Newton at one size; as it was where there are no edges."""
+    """Run Gauss-Newton at one size; unchanged where there are no edges."""
     height, width = frame.shape
     longer, spline = max(height, width), _spline(plate)
     for _ in range(_ROUNDS):
@@ -197,7 +198,7 @@ def _improved(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array
 
 
 def _edge_difference(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array, "h w"]) -> float:
-    """The median difference at edges, exposure taken out."""
+    """Return the median difference at edges, after removing the exposure."""
     moved = _moved(_spline(plate), movement)
     chosen = _edges(*_slopes(moved))
     if len(chosen) < 50:

@@ -1,4 +1,4 @@
-"""How frame and plate differ where nobody is: a small exposure gain, and noise."""
+"""Differences of frame and plate in the background: a small exposure gain, and noise."""
 
 import cv2
 import numpy as np
@@ -6,9 +6,9 @@ import numpy as np
 from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Bool, Float
 
-_LEAST_NOISE = 1.2 / 255  # quantisation of two 8-bit pictures, plus compression that leaves flat areas untouched
+_LEAST_NOISE = 1.2 / 255  # quantisation of two 8-bit images, plus compression that leaves flat areas untouched
 _MOST_NOISE = 12 / 255
-GAINS = (0.8, 1.25)  # a third of a stop: beyond, another light and another scene cannot be told apart
+GAINS = (0.8, 1.25)  # a third of a stop: beyond, another light is indistinguishable from another scene
 
 
 def exposure_gain(
@@ -16,8 +16,8 @@ def exposure_gain(
 ) -> Float[Array, "3"]:
     """Estimate the factor per channel by which the plate is multiplied to match the frame's background.
 
-    It is the median ratio over the pixels that differ least, found again three times: the person and clipped
-    or black pixels stay out.
+    It is the median ratio over the pixels that differ least, repeated three times, which excludes the person and
+    clipped or black pixels.
 
     Args:
         frame_linear: linear light in [0, 1].
@@ -43,12 +43,12 @@ def noise_srgb(
 ) -> Float[Array, "H W"]:
     """Estimate the standard deviation of `frame - plate` per pixel: a constant and a share of the local contrast.
 
-    The second part is what tiny camera shake, resampling and compression do to edges and texture.
+    The second part models the effect of small camera shake, resampling and compression on edges and texture.
 
     Args:
         difference_srgb: frame minus plate.
         plate_srgb: in [0, 1].
-        empty: where certainly nobody is (the fit's sample).
+        empty: pixels that certainly show background only (the sample of the fit).
     """
     gray = cv2.GaussianBlur(plate_srgb.mean(-1), (0, 0), 0.7)
     contrast = cv2.blur(np.hypot(cv2.Sobel(gray, -1, 1, 0), cv2.Sobel(gray, -1, 0, 1)) / 8, (3, 3))

@@ -1,4 +1,4 @@
-"""Filling in from neighbours, coarse to fine: colours that are known in places, mattes that are sure in places."""
+"""Filling in from neighbours, coarse to fine, of colours and mattes that are partly known."""
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ def spread_colours(
     are averaged away, so that no pixel only confirms itself.
 
     Args:
-        colours: of any light.
+        colours: colours in any light.
         weights: trust in each pixel's colour, not negative.
         smallest_px: size of the smallest details that are kept [px].
     """

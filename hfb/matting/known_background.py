@@ -1,15 +1,15 @@
 """A matte from one frame and the clean background: alpha = <I - B, F - B> / |F - B|^2, F unknown but smooth.
 
 Blur is a mixture of light, so everything is computed in linear light: I = alpha F + (1 - alpha) B. Two kinds of
-evidence are joined, each with the precision that the camera's noise leaves it:
+evidence are combined, each with its precision under the camera's noise:
 
-- colour: the share of the way from B to the nearby body colour F, which is found again in each round from the
+- colour: the share of the way from B to the nearby body colour F, which is estimated again in each round from the
   pixels that look most opaque;
 - texture: in a small window with nearly constant alpha and F the frame is a line over the plate,
-  I = (1 - alpha) B + const, so the slope says how much background shines through, whatever F is.
+  I = (1 - alpha) B + const, so the slope is the share of the background, whatever F is.
 
-Where neither says anything (clothes of the background's colour) a membrane fills in from around. A shadow is a
-pixel that a darker background explains and no body colour does.
+Where neither gives any evidence (clothes of the background's colour) a membrane interpolates. A shadow is a pixel that
+a darker background explains and no body colour does.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ _SMALLEST_COLOUR_PATCH_PX = 8
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one frame says before any body colour is known; all in units of the noise where not said otherwise."""
+    """Evidence of one frame before any body colour is known; in units of the noise where not stated otherwise."""
 
     frame: Float[Array, "H W 3"]  # linear
     plate: Float[Array, "H W 3"]  # linear, the frame's exposure
@@ -80,9 +80,9 @@ def gather_evidence(
 def main_change(change: Float[Array, "H W"], threshold: float = 6.0) -> Bool[Array, "H W"]:
     """Return the changed pixels of the largest thing that changed, with the pieces close to it.
 
-    Dark clothes in front of something dark cut a body into pieces: a piece nearer to the main one than a tenth
-    of the main one's longer side belongs to it if it holds a hundredth of its energy. A second person, a waving
-    tree and speckles do not.
+    Dark clothes in front of something dark cut a body into pieces: a piece nearer to the main one than a tenth of the
+    main one's longer side belongs to it if it has a hundredth of its energy. A second person, a waving tree and
+    speckles do not.
 
     Args:
         change: squared difference of frame and plate, in variances of the noise.
@@ -130,7 +130,7 @@ def texture_evidence(
     covariance = mean(dot(i, b)) - dot(mean_i, mean_b)
     variance_b = np.maximum(mean(dot(b, b)) - dot(mean_b, mean_b), 1e-6)
     variance_i = np.maximum(mean(dot(i, i)) - dot(mean_i, mean_i), 0)
-    # Noise in the plate itself flattens the slope; texture hardly above it says nothing.
+    # Noise in the plate itself flattens the slope; texture hardly above it is no evidence.
     slope = covariance / np.maximum(variance_b - 3, 0.3 * variance_b)
     misfit = np.maximum(variance_i - slope * covariance, 0) / 3
     precision = 0.1 * side**2 * np.maximum(variance_b - _LEAST_TEXTURE, 0) / (1 + misfit)
@@ -161,7 +161,7 @@ def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
     """Alternate between the body's smooth colours and the matte that follows from them.
 
     Args:
-        evidence: of one frame, by `gather_evidence`.
+        evidence: evidence of one frame, by `gather_evidence`.
     """
     seen = cv2.morphologyEx(evidence.body.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     inside = cv2.distanceTransform(seen, cv2.DIST_L2, 3)
@@ -210,7 +210,7 @@ def _without_small_holes(alpha: Float[Array, "H W"], trust: Float[Array, "H W"])
 
 
 def _remote(certain: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """0 at the certain body, towards 1 from a twentieth of its size away: how far dark blur may reach, shadows do."""
+    """Return 0 at the certain body, rising to 1 from a twentieth of its size away, beyond the reach of dark blur."""
     mask = certain > 0.5
     if not mask.any():
         return np.zeros(mask.shape, np.float32)
@@ -223,8 +223,8 @@ def _two_colours(
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]]:
     """Join two hypotheses per pixel: the body colour seen nearby in front of darker things, and of brighter ones.
 
-    One smooth F would lose a dark shirt beside a bright arm. Where the hypotheses disagree the precision falls,
-    so that a place which only one of them leaves open is left to its surroundings.
+    One smooth F would lose a dark shirt beside a bright arm. Where the hypotheses disagree the precision falls, so that
+    a place which only one of them leaves open is filled from its surroundings.
 
     Returns:
         alpha's value and precision, the shadow's share, and how opaque the pixel looks.
@@ -255,7 +255,7 @@ def colour_evidence(
     """Return alpha by one body colour F per pixel, and its terms.
 
     Args:
-        evidence: of one frame, by `gather_evidence`.
+        evidence: evidence of one frame, by `gather_evidence`.
         colours: F, linear light.
         alpha: matte so far: where it is small, F is less certain.
 
@@ -268,10 +268,10 @@ def colour_evidence(
     value = np.clip(share, 0, 1)
     rest = evidence.difference - value[..., None] * direction
     misfit = dot(rest, rest)
-    # The body's colour varies around F: what that does to the share, relative to the distance from B to F.
+    # The body's colour varies around F: the effect on the share, relative to the distance from B to F.
     varied, apart = _COLOUR_SPREAD * colours + _DARK_SPREAD, colours - evidence.plate
     spread = dot(varied, varied) / np.maximum(dot(apart, apart), 1e-6)
-    # Where F is B's colour the pixel says nothing: keep what the surroundings said.
+    # Where F is B's colour the pixel has no evidence: keep the surroundings' value.
     open_share = 1 / (1 + 0.1 / np.clip(spread, 1e-6, 10))
     likely = np.maximum(np.maximum(value, alpha), open_share)
     variance = (1 + 0.1 * misfit) / length + 0.15 * likely**2 * spread
@@ -290,7 +290,7 @@ def dot(a: Float[Array, "H W 3"], b: Float[Array, "H W 3"]) -> Float[Array, "H W
 
 
 def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:
-    """Precision of "nobody is here", growing away from what was seen; gaps of a tenth of the body's size stay open."""
+    """Return the precision of alpha = 0, growing with distance from the change; gaps of a tenth of a body are open."""
     reach = 0.05 * _extent(body)
     grown = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) < reach
     closed = cv2.distanceTransform(np.pad(grown.astype(np.uint8), 1, mode="edge"), cv2.DIST_L2, 3)[1:-1, 1:-1] > reach
@@ -299,6 +299,6 @@ def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:
 
 
 def _extent(mask: Bool[Array, "H W"]) -> int:
-    """Longer side of a mask's box [px]; 1 where it is empty."""
+    """Return longer side of a mask's box [px]; 1 where it is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     return int(max(rows[-1] - rows[0], columns[-1] - columns[0])) + 1 if rows.size else 1

@@ -1,4 +1,4 @@
-"""A small U-Net for the matte: what it is told about a frame and its plate, and its layers."""
+"""A small U-Net for the matte: its input and its layers."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -70,13 +70,14 @@ def _quiet_sigma(frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H 
 
 
 class MatteNetwork(nn.Module):
-    """Four halvings, a wide look around at the smallest size, four doublings with the finer pictures beside them.
+    """A U-Net of four halvings, wide convolutions at the smallest size, and four doublings with skip connections.
 
     The second output is the logarithm of the expected error (a Laplace scale) of the first.
 
     Args:
-        channels: of what it sees.
-        normalise: made behind every convolution while it is trained, then folded into it; nothing by default.
+        widths: channels of the layers from fine to coarse.
+        normalise: makes a normalisation layer for a number of channels; None for none.
+        channels: number of input channels.
     """
 
     def __init__(

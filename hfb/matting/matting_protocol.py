@@ -1,4 +1,4 @@
-"""The person's share of each pixel, from a frame and the clean background: one Protocol, one default."""
+"""The protocol of matting, the default method, and common steps."""
 
 from typing import Protocol, runtime_checkable
 
@@ -12,23 +12,31 @@ from hfb.matting.known_background import Evidence, gather_evidence, main_change,
 from hfb.typing import Array, Bool, Float, Tensor
 
 Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
-Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, told in one sentence
+Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, reported in one sentence
 
 _DETECTION_PX = 480
 _SOLUTION_PX = 640
-_SEEN = 8.0  # in hundredths of alpha: what surely belongs to somebody
+_SEEN = 8.0  # in hundredths of alpha: pixels that certainly belong to a person
 LEAST_SHARE = 2e-4
-"""Of the picture's area; less is no person."""
+"""Smallest share of the image's area that is a person."""
 MOST_SHARE = 0.75
-"""Of the picture's area; where more changed the plate is another one."""
+"""Share of the image's area; where more changed the plate is another one."""
 
 
 @runtime_checkable
 class Matting(Protocol):
-    """alpha of eq. (1): what share of the exposure a pixel saw the person."""
+    """Estimates alpha of eq. (1): the share of the exposure in which a pixel shows the person."""
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
-        """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""
+        """Return the matte in [0, 1].
+
+        Args:
+            frame_linear: blurred frame, linear light.
+            plate_linear: background plate, linear light, in the frame's size.
+
+        Raises:
+            InputError: frame and plate do not match, or no person is found.
+        """
         ...
 
 
@@ -117,7 +125,7 @@ def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
         largest = 1 + int(boxes[1:, cv2.CC_STAT_AREA].argmax())
         clear = np.unique(labels[keep & (alpha > 0.6)])  # a shoe cut off by dark trousers, not a patch of shade
         keep = np.isin(labels, [*clear, largest])
-    # As far again as the faint end of a ramp over a tenth of the picture reaches below what counts as seen.
+    # As far again as the faint end of a ramp over a tenth of the image reaches below what counts as seen.
     reach = 2 * max(1, round(0.02 * max(alpha.shape))) + 1
     near = cv2.dilate(keep.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
     alpha = np.clip(alpha, 0, 1) * cv2.blur(near.astype(np.float32), (3, 3))
@@ -128,7 +136,7 @@ def shrink(picture: Float[Array, "H W *c"], longer_px: int) -> Float[Array, "h w
     """Reduce an image by area averaging to at most `longer_px` on the longer side; smaller images stay.
 
     Args:
-        picture: of any light.
+        picture: image in any light.
         longer_px: largest length of the longer side [px].
     """
     height, width = picture.shape[:2]
@@ -169,9 +177,9 @@ def scaled_box(
 
     Args:
         box: (top, left, bottom, right) in the reduced image [px].
-        scale: of full to reduced size, down and across.
-        height: of the full image [px].
-        width: of the full image [px].
+        scale: scale of full to reduced size, down and across.
+        height: height of the full image [px].
+        width: width of the full image [px].
     """
     top, left, bottom, right = box
     return (
@@ -188,7 +196,7 @@ def _empty_around(
     inner: tuple[slice, slice],
     size: tuple[int, int],
 ) -> Bool[Array, "a b"]:
-    """The detection's "nobody here", cut and scaled to the solution's grid."""
+    """Return the detection's empty pixels, cropped and scaled to the solution's grid."""
     away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
     indices = [
         ((cut.start + (np.arange(count) + 0.5) * (cut.stop - cut.start) / count) / ratio).astype(int).clip(0, limit - 1)

@@ -1,9 +1,9 @@
-"""A matte that a moving layer explains: a sharp outline and its colours, averaged on their way, before the plate.
+"""Matting by a moving layer: a sharp outline and its colours, averaged along its way, over the plate.
 
 I = mean_s (m c)(x - s v) + (1 - mean_s m(x - s v)) B, -1/2 < s < 1/2: the formation model of fast moving objects
-(Rozumnyi et al., "The World of Fast Moving Objects", CVPR 2017), with a way v that may differ from place to place.
-Where a ramp of the matte hides the body's colours, the layer has them from where the way leads inside. A network's
-matte says where to begin and, by its doubt, how far to go from there.
+(Rozumnyi et al., "The World of Fast Moving Objects", CVPR 2017), with a way v that may vary in the image. Where a ramp
+of the matte hides the body's colours, the layer takes them from inside along the way. A network's matte is the start,
+and its doubt bounds the distance from it.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float
 
 _LENGTHS = (0.03, 0.06, 0.11, 0.2, 0.3)
-"""Of the straight ways to begin with, as shares of the picture's longer side."""
+"""Lengths of the initial straight ways, as shares of the image's longer side."""
 _DIRECTIONS = 8
 _CELL_PX = 24
-"""Of the grid that bends a way."""
+"""Cell size of the grid that bends a way."""
 
 
 class _Round(NamedTuple):
-    """All candidates go so many steps at a size [px^2], the best are kept; a free way may bend."""
+    """A round of the search: steps at a size [px^2] for all candidates, of which the best are kept."""
 
     area: int
     steps: int
@@ -49,21 +49,22 @@ _ROBUST = 1.5  # standard deviations from where on errors count singly
 _MATTE, _SOFT, _COLOURS, _OUTLINE, _BEND = 0.3, 2.0, 5.0, 2.5, 1.0
 """Weights: the network's matte, what is neither in nor out, changes of colour, of the outline, of the way [1/px^2]."""
 _CHOICE = 30.0
-"""Added to _SOFT where candidates are compared: a soft outline that stands still explains a moving picture, too, and
-its colours change less. So much while descending would leave a body of several ways nothing to make up for it with."""
+"""Constant added to _SOFT where candidates are compared: a soft outline at rest explains a moving image, too, with
+fewer changes of colour. As large a value during the descent would suppress the softness that a body with several ways
+needs."""
 _FAR = 0.03
-"""Of the longer side: where a way is this long a pixel may go twice as far from the network's matte as where it stands
-still, and in the end that matte is trusted half as much."""
+"""Length of a way, relative to the longer side, at which a pixel may deviate twice as far from the network's matte as
+at rest, and at which that matte finally has half the weight."""
 _COVERED, _CLEARLY = 0.02, 3.0  # alpha; standard deviations
 _STRAYED = 0.01
-_INVERSE_NOISE, _TRUST = slice(6, 9), 10  # their places among what a scene tells the kernels
+_INVERSE_NOISE, _TRUST = slice(6, 9), 10  # their places in the kernels' input
 _RATES = (0.15, 0.02, 0.3)
 """Adam's, of the outline's logits, the colours' roots and the way [px]."""
 
 
 @dataclass(frozen=True)
 class _Scene:
-    """What is given, at one size: pictures in linear light and the network's matte; and, for the kernels, all of it."""
+    """The input at one size: images in linear light, the network's matte, and all of it as one array for kernels."""
 
     frame: Float[Array, "H W 3"]
     plate: Float[Array, "H W 3"]
@@ -72,7 +73,7 @@ class _Scene:
 
     @staticmethod
     def of(pictures: Sequence[Array], area: int) -> "_Scene":
-        """Of frame and plate (H, W, 3), alpha and doubt (H, W), no larger than they are."""
+        """Build from frame and plate (H, W, 3), alpha and doubt (H, W), no larger than they are."""
         height, width = pictures[0].shape[:2]
         scale = min(1.0, float(np.sqrt(area / (height * width))))
         size = max(8, round(width * scale)), max(8, round(height * scale))
@@ -83,16 +84,17 @@ class _Scene:
         return _Scene(frame, plate, alpha, told)
 
     def trusted_less(self, far: Float[Array, "H W"]) -> "_Scene":
-        """The network's matte counts the less the farther a place goes: a smear is where it is wrong most.
+        """Reduce the weight of the network's matte with the distance: it is wrong mostly in smears.
 
-        Not where the picture differs from the plate beside the person, too: shadows would be explained as a body.
+        It stays where the image differs from the plate beside the person, too, since shadows would be explained as a
+        body.
         """
         told = self.told.copy()
         told[..., _TRUST] /= 1 + np.exp(-self._strayed() / _STRAYED) * (far / _FAR) ** 2
         return replace(self, told=told)
 
     def _strayed(self) -> float:
-        """The share of what nobody covers that differs clearly from the plate."""
+        """Return the share of uncovered pixels that differ clearly from the plate."""
         apart = np.linalg.norm((self.frame - self.plate) * self.told[..., _INVERSE_NOISE], axis=-1)
         beside = cv2.dilate((self.alpha > _COVERED).astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
         return float((apart[beside] > _CLEARLY).mean()) if beside.any() else 1.0
@@ -100,7 +102,7 @@ class _Scene:
 
 @dataclass(frozen=True)
 class _Layer:
-    """A candidate: an outline's logits, the square roots of its colours, its way and a grid that bends it [px]."""
+    """A candidate: an outline's logits, the square roots of its colours, its way and the grid added to it [px]."""
 
     logits: Float[Array, "H W"]
     roots: Float[Array, "H W 3"]
@@ -109,7 +111,7 @@ class _Layer:
 
     @staticmethod
     def moved(scene: _Scene, colours: Float[Array, "H W 3"], way: Float[Array, "2"]) -> "_Layer":
-        """The network's matte, made sharper the longer the way, in the colours that it tells."""
+        """Return the network's matte, sharpened the more the longer the way, with the colours that follow from it."""
         logits = (4 + 0.8 * np.linalg.norm(way)) * (scene.alpha - 0.5)
         ways = np.broadcast_to(way.astype(np.float32), (*logits.shape, 2)).copy()
         return _Layer(
@@ -117,7 +119,7 @@ class _Layer:
         )
 
     def at(self, scene: _Scene) -> "_Layer":
-        """At a scene's size."""
+        """Resize to a scene's size."""
         size, cells = scene.alpha.shape[::-1], _cells(scene)[::-1]
         scale = np.array(size, np.float32) / self.logits.shape[::-1]
         bend = np.stack([_resized(one, cells) * by for one, by in zip(self.bend, scale, strict=True)])
@@ -125,7 +127,7 @@ class _Layer:
 
 
 def _resized(picture: Array, size: tuple[int, int]) -> Array:
-    """Float32, to (width, height)."""
+    """Resize to (width, height), float32."""
     how = cv2.INTER_AREA if picture.shape[1] > size[0] else cv2.INTER_LINEAR
     return cv2.resize(picture.astype(np.float32), size, interpolation=how)
 
@@ -143,9 +145,9 @@ def explained_matte(
 ) -> Float[Array, "H W"]:
     """Return the matte of the moving layer that explains the frame best, starting from a network's.
 
-    Many straight ways are tried at a small size; the best go on, may bend, and grow. Finer details than the last size
-    stay the network's. No pixel goes further from its matte than its expected error, or than some times that where the
-    way is long. About a second, the same on every run.
+    Many straight ways are tried at a small size; the best are refined, may bend, and are enlarged. Finer details than
+    the last size stay the network's. No pixel deviates more from its matte than its expected error, or than some times
+    that where the way is long. It takes about a second and is deterministic.
 
     Args:
         frame_linear: in [0, 1]; the plate already has the frame's exposure.
@@ -169,26 +171,26 @@ def explained_matte(
     found = answers[0]
     size = alpha.shape[::-1]
     change = _resized(found.alpha - scene.alpha, size)
-    # The layer takes every change for the body, a shadow of somebody who stands, too: the network knows better. What
-    # goes far and is sharp all the same explains itself.
+    # The layer explains every change by the body, also a standing person's shadow: the network is better there. A layer
+    # that moves far and is still sharp needs no support.
     most = np.exp(doubt) * (1 + _far(found.way, size) / _FAR)
     return np.clip(alpha + np.clip(change, -most, most), 0, 1)
 
 
 def _far(way: Float[Array, "h w 2"], size: tuple[int, int]) -> Float[Array, "H W"]:
-    """How long a way is, as shares of the picture's longer side, at (width, height)."""
+    """Return the length of a way in shares of the image's longer side, at (width, height)."""
     return _resized(np.linalg.norm(way, axis=-1) / max(way.shape[:2]), size)
 
 
 def _straight_ways(longer_px: int) -> list[Float[Array, "2"]]:
-    """To all sides, and none."""
+    """Return ways to all sides, and none."""
     angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
     ways = longer_px * np.array(_LENGTHS)[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], -1)
     return [*ways.reshape(-1, 2), np.zeros(2)]
 
 
 class _Answer(NamedTuple):
-    """What a candidate leaves unexplained, counting softness more than it is fought; its matte and its way [px]."""
+    """A candidate's loss, in which softness counts more; its matte and its way [px]."""
 
     oddness: float
     alpha: Float[Array, "H W"]
@@ -197,7 +199,7 @@ class _Answer(NamedTuple):
 
 
 def _follow(layer: _Layer, scene: _Scene, step: _Round) -> _Answer:
-    """Adam, in place."""
+    """Run Adam, in place."""
     size, cells = layer.logits.shape, layer.bend.shape
     weights = np.array([_ROBUST, _SOFT, _COLOURS, _OUTLINE, _BEND], np.float32)
     rates = np.array([*_RATES[:2], _RATES[2] * step.free], np.float32)

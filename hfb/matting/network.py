@@ -1,4 +1,4 @@
-"""The matting network put to work: find the person in the whole frame, then look again at the crop around them."""
+"""Inference of the matting network: in the whole frame, then in the crop around the person."""
 
 from functools import lru_cache
 from importlib import resources
@@ -38,19 +38,24 @@ _LOOKS = (1.0, 1.4)
 _LEAST_PX = 32
 _MARGIN = 0.2
 _COVERED, _REACH = 0.05, 0.05
-"""By a matte or a fit; how far beside them a third look may find the person, relative to the crop's longer side."""
+"""Alpha from which a matte or a fit covers a pixel; and how far from there the third network may find the person,
+relative to the crop's longer side."""
 _CLEARLY_CHANGED = 0.05  # in sRGB
 
 
 class NetworkMatting:
-    """Two small networks trained on blurred people (`hfb train matting`): a second or two, the same on every run.
+    """Two small networks trained on blurred people (`hfb train matting`): one or two seconds, deterministic.
 
-    The first finds the person and a matte. That matte tells the body's colours (second_look.py), and the second network
-    sees them, too. What its matte leaves open a moving layer explains (moving_layer.py).
+    The first network finds the person and a matte, from which the body's colours follow (second_look.py); the second
+    network uses them, too. Its uncertain pixels are explained by a moving layer (moving_layer.py).
+
+    Args:
+        network: the first network; None for the shipped one.
+        second: the second network; None for the shipped one.
     """
 
     def __init__(self, network: MatteNetwork | None = None, second: MatteNetwork | None = None) -> None:
-        """The shipped weights, or other ones."""
+        """Load the shipped weights, or take other networks."""
         self._network = shipped_network() if network is None else network.eval()
         self._second = shipped_second() if second is None else second.eval()
 
@@ -111,13 +116,14 @@ class NetworkMatting:
 
 
 class RenderConditionedMatting:
-    """A crop around a person as the third network sees it, but for the fit: what it makes of a fit's picture there.
+    """The third network's input around a person without the fit; a fit's render gives the matte.
 
-    Its alpha is what a matte and a fit show, weighed by the pixels. What lies far from both is somebody else, who was
-    left out of the matte before. Where nobody is left it stays.
+    Its alpha combines a matte and a fit by the pixels. What is far from both is another person, who was
+    removed from the matte before. Where nothing would be left it stays.
 
     Args:
-        frame_linear, plate_linear: in linear light.
+        frame_linear: in linear light.
+        plate_linear: in linear light.
         matte: alpha as it was found before the fit.
     """
 
@@ -135,7 +141,7 @@ class RenderConditionedMatting:
         """Return alpha once a fit is known.
 
         Args:
-            fitted: the fit's blurred picture, premultiplied linear light and alpha.
+            fitted: the fit's blurred image, premultiplied linear light and alpha.
             network: the shipped third one when not given.
         """
         (height, width), beside = self._matte.shape, shrink(fitted, self._longer)
@@ -170,14 +176,14 @@ def seen_beside_fit(
 def _seen_before_fit(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> tuple[tuple[Float[Array, "H W 3"], Float[Array, "H W 3"]], Float[Array, "C H W"]]:
-    """Frame and plate in the same exposure, and what the third network sees without a fit."""
+    """Return frame and plate in the same exposure, and the third network's inputs without a fit."""
     gain = _gain_without(matte, frame_linear, plate_linear)
     frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear * gain, 0, 1)
     return (frame, plate), np.concatenate([features(frame, plate), colour_evidence(frame, plate, matte)])
 
 
 def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:
-    """So many pixels on the longer side: area average where that is smaller, cubic where it is larger."""
+    """Resize to so many pixels on the longer side: area average where that is smaller, cubic where it is larger."""
     height, width = picture.shape[:2]
     scale = longer_px / max(height, width)
     if scale <= 1:
@@ -187,7 +193,7 @@ def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 
 
 
 def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-    """Alpha and the logarithm of its expected error, means of the picture and its mirror image."""
+    """Return alpha and the logarithm of its expected error, means of the image and its mirror image."""
     height, width = seen.shape[1:]
     wanting = [(0, 0), (0, max(0, _LEAST_PX - height)), (0, max(0, _LEAST_PX - width))]
     picture = torch.from_numpy(np.pad(seen, wanting, mode="edge"))[None]
@@ -226,7 +232,7 @@ def _shipped(name: str, channels: int) -> MatteNetwork:
 
 
 def _check_scene(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> None:
-    """Nothing to be seen at all, or another place: known before the network is asked."""
+    """Raise an error where nothing or everything changed, before the network runs."""
     difference = np.abs(linear_to_srgb(frame) - linear_to_srgb(np.clip(plate, 0, 1))).max(-1)
     if (cv2.GaussianBlur(difference, (0, 0), 2) > _CLEARLY_CHANGED).mean() > MOST_SHARE:
         raise another_scene()
@@ -235,6 +241,6 @@ def _check_scene(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> 
 def _gain_without(
     matte: Float[Array, "H W"], frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]
 ) -> Float[Array, "3"]:
-    """The exposure gain by the pixels where nobody is."""
+    """Return the exposure gain by background pixels."""
     empty = cv2.dilate(matte, np.ones((9, 9), np.uint8)) < 0.02
     return exposure_gain(frame[empty][None], plate[empty][None])

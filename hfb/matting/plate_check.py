@@ -1,7 +1,7 @@
-"""Does a given plate lie on the frame, in the frame's exposure? Judged where nobody is, after both were mended.
+"""Check of a plate's alignment and exposure against the frame's background, after both are corrected.
 
-A plate farther beside the frame than alignment.py moves it makes a person's outline of every edge; another exposure
-than camera_noise.py evens out makes a person of the whole room. The matte shows it late: it is told in words before.
+A plate that is shifted farther than alignment.py corrects turns every edge into a person's outline; an exposure that
+camera_noise.py does not correct turns the whole room into a person. Both are detected and reported before matting.
 """
 
 import cv2
@@ -16,7 +16,7 @@ from hfb.typing import Array, Bool, Float
 _ALIGNED_AT_PX, _JUDGED_AT_PX, _LOOKED_AT_PX = 640, 320, 256
 _FOUND_PX = 3 * MOST_PX
 _FOUND_GAINS = (0.2, 5.0)
-"""Farther than the matting mends, so that the matte is right where it tells what is wrong."""
+"""Range of gains, wider than the matting's correction, so that the reported problem is certain."""
 _AWAY_PX = 17
 _LEAST_EMPTY = 0.1
 _EDGE_SHARE, _LEAST_EDGE, _FEWEST_EDGES = 0.15, 0.02, 50
@@ -64,8 +64,8 @@ def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float
 
 
 def _where_nobody_is(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> Bool[Array, "H W"]:
-    """Well outside of the first network's matte, and not at the border, where a moved plate is made up."""
-    from hfb.matting.network import NetworkMatting  # torch: only for who asks
+    """Return pixels well outside of the first network's matte, not at the border, where a moved plate is extended."""
+    from hfb.matting.network import NetworkMatting  # imports torch, which is needed only here
 
     matte = clean(NetworkMatting().look(shrink(frame, _LOOKED_AT_PX), shrink(plate, _LOOKED_AT_PX)))
     matte = cv2.resize(matte, frame.shape[1::-1])

@@ -1,8 +1,8 @@
-"""What a first matte makes known: the body's colours, and the share of the way from plate to them at every pixel.
+"""Inputs of the second network that follow from a first matte: the body's colours, and alpha by them.
 
-alpha = <I - B, F - B> / |F - B|^2 needs F, and a first matte says where to read it: from opaque neighbours, near and
-far, and, where a thin limb is nowhere opaque, from the blurred pixels themselves with the plate taken out,
-F = B + (I - B) / alpha. None is right everywhere; the second network has learned which to believe.
+alpha = <I - B, F - B> / |F - B|^2 needs F, which follows from a first matte: from opaque neighbours, near and far, and,
+where a thin limb is nowhere opaque, from the blurred pixels themselves after removing the plate,
+F = B + (I - B) / alpha. None is right everywhere; the second network has learned to weigh them.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from hfb.typing import Array, Float
 
 EVIDENCE_CHANNELS = 17
 COLOUR_STARTS = (0, 3)
-"""Where in the evidence three channels are a colour's."""
+"""Channels of the evidence at which a colour's three begin."""
 
 _NEAR_PX, _FAR_PX, _UNMIXED_PX = 4, 32, 6
 _OPAQUE_POWER, _UNMIXED_POWER = 6, 2
-_LEAST_SHARE = 0.15  # a pixel that is less the body's tells nothing of its colour
+_LEAST_SHARE = 0.15  # a pixel with a smaller share does not determine the body's colour
 
 
 def colour_evidence(
@@ -63,7 +63,7 @@ def explained_by(
     """Return alpha if the body had these colours, their distance from the plate, and the unexplained rest (all scaled).
 
     Args:
-        colours: of the body, linear light.
+        colours: colours of the body, linear light.
         frame_linear: linear light in [0, 1].
         plate_linear: linear light in [0, 1], in the frame's exposure.
         noise: standard deviation of frame - plate, linear light.
@@ -85,7 +85,7 @@ def unmixed_colours(
         frame_linear: linear light in [0, 1].
         plate_linear: linear light in [0, 1], in the frame's exposure.
         alpha: matte in [0, 1].
-        power: of alpha in the weights with which colours are spread.
+        power: exponent of alpha in the weights with which colours are spread.
     """
     unmixed = np.clip(plate_linear + (frame_linear - plate_linear) / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
     partly = (np.where(alpha > _LEAST_SHARE, alpha, 0) ** power + 1e-6).astype(np.float32)

@@ -1,9 +1,9 @@
-"""What a fit makes known: its own picture beside the frame, where its body is and in which colours.
+"""Inputs of the third network that follow from a fit: its render, silhouette and colours.
 
-A matte that was found before any fit errs where the person looks like the plate; the fitted body errs where a limb is
-not yet where it should be. Both see the same pixels, and where they disagree the pixels say who is right: how much of
-a fitted colour is there, and what the fit's picture leaves unexplained. The third network has learned to weigh that
-from people beside somebody posed and shaped a little otherwise, and from fits.
+A matte from before the fit has errors where the person looks like the plate; the fitted body has errors where a limb is
+not yet in place. Where they disagree, the pixels decide: the share of the fitted colour, and the difference that the
+fit's image leaves. The third network has learned to weigh them from people beside a body of slightly different pose and
+shape, and from fits.
 """
 
 import numpy as np
@@ -15,10 +15,10 @@ from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float
 
 SHARED_CHANNELS = CHANNELS + EVIDENCE_CHANNELS - 1
-"""Of what the second network saw: all but its doubt of a first matte."""
+"""Number of the second network's input channels that are used: all but the doubt of a first matte."""
 FIT_CHANNELS = 10
 FIT_COLOUR_STARTS = (0, 7)
-"""Where in the fit's evidence three channels are a colour's."""
+"""Channels of the fit's evidence at which a colour's three begin."""
 
 _LEAST_SHARE = 0.1  # a pixel that is less the fit's has no colour of its own
 _SPREAD_PX = 6
@@ -32,11 +32,11 @@ def fit_evidence(
     Args:
         frame_linear: in [0, 1]; the plate already has the frame's exposure.
         plate_linear: in [0, 1]; the plate already has the frame's exposure.
-        fitted: the fit's blurred picture, premultiplied linear light and alpha.
+        fitted: the fit's blurred image, premultiplied linear light and alpha.
 
     Returns:
         the fit's colours in sRGB, spread to where it is not (3); alpha by them, how far they are from the plate, what
-        they leave unexplained (3); the fit's alpha (1); signed logarithm of what its picture leaves unexplained, in
+        they leave unexplained (3); the fit's alpha (1); signed logarithm of what its image leaves unexplained, in
         units of the noise (3).
     """
     colour, alpha = fitted[..., :3], fitted[..., 3]

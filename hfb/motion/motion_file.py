@@ -1,4 +1,4 @@
-"""motion.npz: the lossless result, readable by numpy alone."""
+"""motion.npz: the lossless result, readable with numpy alone."""
 
 import io
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ _LARGEST = {
     "frame_index": 1e6,
     "joint_radius_mm": 1e9,
 }
-"""Beyond what a person in front of a camera can be: numbers that are read as they are would take memory or time."""
+"""Values beyond those of any person in front of a camera, which would cost readers memory or time."""
 
 _SHORTEST_STEP_S = 1e-12
 
@@ -34,7 +34,7 @@ def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
 
     Args:
         motion: camera coordinates.
-        betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
+        betas_space: space of the shape coefficients: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
     """
     known = {name: getattr(motion, name) for name in (*_ARRAYS, *_OPTIONAL) if getattr(motion, name) is not None}
     return known | {"betas_space": np.array(betas_space)}
@@ -44,9 +44,9 @@ def save_motion(path: Path, motion: SampledMotion, betas_space: str) -> None:
     """Write the motion whole or not at all; no pickled member.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
         motion: camera coordinates.
-        betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
+        betas_space: space of the shape coefficients: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
     """
     write_arrays(path, motion_arrays(motion, betas_space))
 
@@ -55,7 +55,7 @@ def write_arrays(path: Path, arrays: dict[str, Array]) -> None:
     """Write a compressed .npz of plain arrays, whole or not at all.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
         arrays: by name.
     """
     buffer = io.BytesIO()
@@ -67,7 +67,7 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
     """Read a motion file; return the motion and the space of its betas.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: not a motion file, or a damaged one.
@@ -84,7 +84,7 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
 
 
 def _check(found: Mapping[str, Array]) -> None:
-    """Raises ValueError where arrays are of other kinds or shapes, KeyError where one is missing."""
+    """Raise ValueError where arrays are of other kinds or shapes, KeyError where one is missing."""
     rows = len(found["poses"]) if found["poses"].ndim else 0
     shapes = {
         "poses": (rows, 72),
@@ -113,7 +113,7 @@ def _check(found: Mapping[str, Array]) -> None:
 
 
 def _check_clock(times_s: Array, frame_index: Array) -> None:
-    """Raises ValueError where instants cannot be those of a recording: everything made of them would be as absurd."""
+    """Raise ValueError where instants cannot be those of a recording, as everything made of them would be absurd."""
     if (frame_index[1:] < frame_index[:-1]).any():
         raise ValueError("its frames are not in order")
     steps = np.diff(times_s)[frame_index[1:] == frame_index[:-1]]

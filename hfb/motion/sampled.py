@@ -24,9 +24,9 @@ class SampledMotion:
         joints: joint positions [m].
         times_s: time since the first shutter opened [s].
         frame_index: the frame each row belongs to.
-        K: camera matrix of the full picture [px].
-        joint_radius_mm: where the method says how sure it is: the joint's error about the pelvis (after one rotation of
-            the sequence) is below it with a probability of one half; zero for the pelvis.
+        K: camera matrix of the full image [px].
+        joint_radius_mm: median error of each joint about the pelvis (after one rotation of the sequence), where the
+            method estimates it; zero for the pelvis.
     """
 
     poses: Float[Array, "R 72"]
@@ -44,7 +44,7 @@ class SampledMotion:
         Args:
             frame: its number.
         """
-        if self._in_order:  # asked for frame by frame, a search of all rows each time would take their square
+        if self._in_order:  # a search of all rows for every frame would take quadratic time
             first, last = np.searchsorted(self.frame_index, (frame, frame + 1)).tolist()
             return np.arange(first, last)
         return np.flatnonzero(self.frame_index == frame)

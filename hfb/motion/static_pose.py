@@ -31,11 +31,24 @@ class FirstBody:
     source: str
 
 
+@dataclass(frozen=True)
+class OtherFront:
+    """The same frames' bodies facing the other way, for starts whose front is doubtful.
+
+    Attributes:
+        bodies: one per frame.
+        doubt: how much surer the joint network is of the bodies as found (`hfb.initialization.fronts.front_doubts`).
+    """
+
+    bodies: tuple[FirstBody, ...]
+    doubt: float
+
+
 def save_first_body(path: Path, first: FirstBody) -> None:
     """Write a first body (.npz, no pickle) whole or not at all.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
         first: the body.
     """
     numbers = {name: getattr(first, name).double().numpy() for name in _NUMBERS}
@@ -46,7 +59,7 @@ def load_first_body(path: Path) -> FirstBody:
     """Read a first body.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: missing, damaged, or of other shapes.

@@ -33,7 +33,7 @@ class Trajectory:
     Attributes:
         rotation: coefficients, the constants first.
         translation: coefficients, the constants first.
-        anchor: where distances of the ``axis-angle`` kind are measured from [m].
+        anchor: origin of the distances of the ``axis-angle`` kind [m].
         origin: the u at which all higher terms vanish (0: start of the exposure, 0.5: its middle).
     """
 
@@ -76,7 +76,7 @@ class Trajectory:
         """Return the same image motion for a person `factor` times as large, and as far away; ``quaternion`` alone.
 
         Args:
-            factor: of the person's size.
+            factor: factor of the person's size.
             pelvis: rest pelvis of the person before [m]; SMPL's root turns about it.
             new_pelvis: rest pelvis of the person after [m].
         """
@@ -102,8 +102,8 @@ def trajectory_at_rest(
     Args:
         poses: axis-angle [rad], the root first.
         translations: SMPL's translation in camera coordinates [m].
-        degree: of the polynomials.
-        kind: how rotations are parametrised.
+        degree: degree of the polynomials.
+        kind: parametrisation of rotations.
         origin: time u at which powers are zero.
     """
     frames = poses.shape[0]

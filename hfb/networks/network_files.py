@@ -1,4 +1,4 @@
-"""What a network's file is, by its first bytes and its archive's contents: told without torch."""
+"""Recognition of a network file by its first bytes and its archive's contents, without torch."""
 
 import zipfile
 from pathlib import Path
@@ -14,7 +14,7 @@ def is_onnx(path: Path) -> bool:
     """Return whether a file is named like an ONNX network.
 
     Args:
-        path: of the network's file.
+        path: the network's file.
     """
     return path.suffix.lower() == ".onnx"
 
@@ -23,7 +23,7 @@ def check_network_file(path: Path, weights_too: bool = False) -> None:
     """Refuse what is certainly no network, without reading all of it.
 
     Args:
-        path: of the network's file.
+        path: the network's file.
         weights_too: plain weights will do, since we know the network that they belong to.
 
     Raises:
@@ -43,7 +43,7 @@ def holds_weights(path: Path) -> bool:
     """Return whether a file of torch.save is no executable network: weights, or a pickled model.
 
     Args:
-        path: of the network's file.
+        path: the network's file.
     """
     if not path.is_file() or is_onnx(path):
         return False
@@ -59,7 +59,7 @@ def check_torchscript(path: Path) -> None:
     """Check that a file is TorchScript: an archive with code, which a state dict or a pickled model lacks.
 
     Args:
-        path: of the network's file.
+        path: the network's file.
 
     Raises:
         InputError: something else, or one that unpacks to more than it has: torch packs the code alone.
@@ -76,7 +76,7 @@ def check_torchscript(path: Path) -> None:
 
 
 def _packed(path: Path) -> dict[str, int]:
-    """The compressed members of an archive, and what they unpack to [bytes]."""
+    """Return the compressed members of an archive, and what they unpack to [bytes]."""
     with zipfile.ZipFile(path) as archive:
         found = [info for info in archive.infolist() if info.compress_type != zipfile.ZIP_STORED]
     return {info.filename.partition("/")[2]: info.file_size for info in found}

@@ -1,4 +1,4 @@
-"""Everything that can be plugged into hfb: what is shipped, what the user brings, under which licence, and from where.
+"""A list of everything that can be plugged into hfb: shipped or not, its licence, and its source.
 
 Light to import, offline.
 """

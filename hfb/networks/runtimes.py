@@ -1,7 +1,7 @@
 """A user's network, TorchScript or ONNX, on one thread of the CPU.
 
-A network is a program: run those you trust. No Python object of a file is ever unpickled: what is no TorchScript
-archive and no ONNX file is refused.
+A network is a program: run only those you trust. No Python object of a file is ever unpickled: a file that is neither a
+TorchScript archive nor ONNX is refused.
 """
 
 import importlib.util
@@ -22,7 +22,7 @@ from hfb.networks.network_files import MOST_CODE_BYTES, check_torchscript, is_on
 from hfb.typing import Array, Float
 
 _TOO_FEW = ("k argument", "selected index k out of range")
-"""What onnxruntime and torch say where the k largest of fewer numbers are wanted."""
+"""Messages of onnxruntime and torch where the k largest of fewer numbers are wanted."""
 _HALF = torch.bfloat16
 """float16 takes twelve times as long on processors without instructions of its own, which are most."""
 _IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)[:, None, None]
@@ -32,16 +32,16 @@ _IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)[:, None, None]
 
 
 class PictureTooSmall(InputError):
-    """A network that chooses a fixed number of places was given fewer; a larger picture has enough."""
+    """The image has fewer positions than the network selects; a larger image has enough."""
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """What a network gave, in its own order.
+    """The outputs of a network, in its own order.
 
     Attributes:
         source: the network's file, for messages.
-        names: of the outputs; empty texts where it has none.
+        names: names of the outputs; empty texts where it has none.
     """
 
     source: Path
@@ -70,10 +70,18 @@ class Outputs:
 
 @runtime_checkable
 class Network(Protocol):
-    """Pictures in, arrays out."""
+    """A network from images to arrays."""
 
     def __call__(self, inputs: Sequence[Given]) -> Outputs:
-        """Run it. Raises InputError where it fails, FloatingPointError where an output is not finite."""
+        """Run the network.
+
+        Args:
+            inputs: its inputs, in order.
+
+        Raises:
+            InputError: it fails.
+            FloatingPointError: an output is not finite.
+        """
         ...
 
 
@@ -97,10 +105,16 @@ def load_network(path: Path, settings: Mapping[str, float | str] | None = None, 
 
 
 class TorchNetwork:
-    """A `Network` out of a module of torch."""
+    """A `Network` of a torch module.
+
+    Args:
+        path: origin of the weights, named in messages.
+        module: the torch module.
+        half: compute in 16 bits, in half the memory.
+    """
 
     def __init__(self, path: Path, module: torch.nn.Module, half: bool = False) -> None:
-        """`path`: where its weights are from, for messages. `half`: compute in 16 bits, in half the memory."""
+        """Take a module; `path` names its weights in messages, `half` computes in 16 bits, in half the memory."""
         self._path = path
         self._kind = _HALF if half else torch.float32
         self._module = module.to(self._kind)
@@ -123,10 +137,16 @@ class TorchNetwork:
 
 
 class TorchScriptNetwork(TorchNetwork):
-    """A `Network` out of torch.jit.save's archive."""
+    """A `Network` of torch.jit.save's archive.
+
+    Args:
+        path: the network's file.
+        settings: attributes to set, as far as the network has them.
+        half: compute in 16 bits.
+    """
 
     def __init__(self, path: Path, settings: Mapping[str, float | str], half: bool = False) -> None:
-        """Raises InputError where torch cannot read it."""
+        """Load the file. Raises InputError where torch cannot read it."""
         try:
             _declare_roi_align(path)
             module = torch.jit.load(str(path), map_location="cpu").eval()
@@ -139,7 +159,11 @@ class TorchScriptNetwork(TorchNetwork):
 
 
 class OnnxNetwork:
-    """A `Network` run by onnxruntime."""
+    """A `Network` run by onnxruntime.
+
+    Args:
+        path: the network's file.
+    """
 
     def __init__(self, path: Path) -> None:
         try:
@@ -151,7 +175,7 @@ class OnnxNetwork:
         self._path = path
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # we say what failed, and try again
+        options.log_severity_level = 4  # failures are reported below, or tried again
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         except Exception as error:  # its own exception classes share no base but this
@@ -181,7 +205,7 @@ def normalised(picture_srgb: Float[Array, "H W 3"], normalisation: str, channels
 
     Args:
         picture_srgb: in [0, 1].
-        normalisation: of the values, such as ``signed`` or ``imagenet``.
+        normalisation: scaling of the values, such as ``signed`` or ``imagenet``.
         channels: ``rgb`` or ``bgr``.
     """
     planes = np.ascontiguousarray(picture_srgb.transpose(2, 0, 1), np.float32)
@@ -197,7 +221,7 @@ def denormalised(planes: Float[Array, "N 3 H W"], normalisation: str, channels: 
 
     Args:
         planes: output of a network.
-        normalisation: of the values, such as ``signed`` or ``imagenet``.
+        normalisation: scaling of the values, such as ``signed`` or ``imagenet``.
         channels: ``rgb`` or ``bgr``.
     """
     rgb = planes[:, ::-1] if channels == "bgr" else planes
@@ -210,7 +234,7 @@ def denormalised(planes: Float[Array, "N 3 H W"], normalisation: str, channels: 
 
 @lru_cache(maxsize=1)
 def _roi_align_schema() -> torch.library.Library | None:
-    """An operator of torchvision that some matting networks name and do not call; kept alive by the cache."""
+    """Return an operator of torchvision that some matting networks name and do not call; kept alive by the cache."""
     if importlib.util.find_spec("torchvision") is not None:
         try:
             importlib.import_module("torchvision")
@@ -236,7 +260,7 @@ def _declare_roi_align(path: Path) -> None:
 
 
 def _flat(result: Any, path: Path) -> tuple[tuple[str, ...], tuple[Float[Array, "..."], ...]]:
-    """Tensors of a tensor, tuple, list or dictionary, nested ones one after another."""
+    """Return the tensors of a tensor, tuple, list or dictionary, nested ones one after another."""
     if isinstance(result, torch.Tensor):
         return ("",), (result.float().numpy(),)
     parts: list[tuple[str, Any]]
@@ -277,6 +301,6 @@ def _failed(path: Path, inputs: Sequence[Given], error: Exception, half: bool = 
 
 
 def _first_line(error: Exception) -> str:
-    """What went wrong, without torch's trace: its last line says it."""
+    """Return an error's last line, which states the reason, without torch's trace."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1][:200] if lines else type(error).__name__

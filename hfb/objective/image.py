@@ -8,11 +8,11 @@ def image_loss(
 ) -> Float[Tensor, ""]:
     """Return L_I of eq. (3), |I - I^|_2 read as a squared error: sum over pixels, mean over channels, by area.
 
-    Normalised by the matte's area, not by the picture's: else a person who fills a tenth of the picture would
-    count a tenth as much, and cropping the picture would change the weight of every other term.
+    Normalised by the matte's area, not by the image's: else a person who fills a tenth of the image would
+    count a tenth as much, and cropping the image would change the weight of every other term.
 
     Args:
-        predicted: I^, the re-blurred picture, in the light in which blur is an average.
+        predicted: I^, the re-blurred image, in the light in which blur is an average.
         observed: I, the input, in the same light.
         area_px: sum of the matte [px]; below one pixel it counts as one.
     """

@@ -16,7 +16,7 @@ def matting_loss(predicted: Float[Tensor, "H W"], matte: Float[Tensor, "H W"]) -
 
     Args:
         predicted: alpha_target, the mean of the sub-frames' silhouettes R_S.
-        matte: alpha_in, from the input picture.
+        matte: alpha_in, from the input image.
     """
     shared = torch.minimum(predicted, matte).sum()
     covered = torch.maximum(predicted, matte).sum()

@@ -44,7 +44,8 @@ class Objective:
         motion_prior: for L_A, which is used for single frames only: neighbours tell the direction better.
         warm_up: compare paths with the network's likelier sign, for several frames too. Afterwards the sign of a single
             frame's path is free, and several frames tell each other's paths.
-        matte_scales, image_scales: number of scales of L_alpha and L_I, each half the size of the last.
+        matte_scales: number of scales of L_alpha and L_I, each half the size of the last.
+        image_scales: number of scales of L_alpha and L_I, each half the size of the last.
     """
 
     observation: Observation
@@ -94,7 +95,7 @@ class Objective:
     def _posed(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "n V 3"], dict[str, Float[Tensor, ""]]]:
-        """Vertices of every sub-frame, frame after frame, and the terms of body and motion."""
+        """Return vertices of every sub-frame, frame after frame, and the terms of body and motion."""
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
         posed, joints = shaped.pose_frames(*course)
@@ -111,7 +112,7 @@ class Objective:
         return {}
 
     def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
-        """Times of the sub-frames, then the middle of the exposure."""
+        """Return times of the sub-frames, then the middle of the exposure."""
         return _instants(self.subframes, dtype, self.first.device)
 
     def body_terms(
@@ -162,20 +163,20 @@ class Objective:
         translations: Float[Tensor, "T S1 3"],
         whole: bool,
     ) -> Float[Tensor, "T n 24 3"]:
-        """Joints [m] at opening, closing and middle of the exposure, or in the middle alone."""
+        """Return joints [m] at opening, closing and middle of the exposure, or in the middle alone."""
         some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)
         index = constant(some, torch.long, rotations.device)
         places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
         return shaped.joints_of(*places).unflatten(0, (-1, len(some)))
 
     def _vectors(self, rotations: Float[Tensor, "T S1 24 3 3"]) -> Float[Tensor, "n 23 3"]:
-        """Axis times angle [rad] below the root at every sub-frame."""
+        """Return axis times angle [rad] below the root at every sub-frame."""
         if compiled(rotations):
             return rotation_vectors(rotations, self.subframes).flatten(0, 1)
         return matrix_to_axis_angle(rotations[:, :-1, 1:].flatten(0, 1))
 
     def _image_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
-        """Image, matting and background terms of one frame."""
+        """Return image, matting and background terms of one frame."""
         weights, seen, mesh = self.weights, self.observation, self.body.mesh
         if weights.background > 0:  # the only term that needs each sub-frame by itself
             pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
@@ -220,7 +221,7 @@ class Objective:
         return tuple(Target(seen.plate_linear, frame, matte, *self._scales) for frame, matte in pictures)
 
     def _named(self, image: Float[Tensor, ""], overlap: Float[Tensor, ""]) -> dict[str, Float[Tensor, ""]]:
-        """Those of both losses that have a weight."""
+        """Return those of both losses that have a weight."""
         weights = self.weights
         return ({"image": image} if weights.image > 0 else {}) | ({"matte": overlap} if weights.matte > 0 else {})
 
@@ -231,7 +232,7 @@ class Objective:
 
         Args:
             observation: at the stage's size.
-            weights: of the stage.
+            weights: weights of the stage.
             visible: texels visible in some sub-frame; every texel when not given.
         """
         return replace(
@@ -269,7 +270,7 @@ class Objective:
 
 @lru_cache
 def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "S1"]:
-    """Cached tensor of `Objective._instants`; read only."""
+    """Return cached tensor of `Objective._instants`; read only."""
     return torch.tensor([*subframe_clock(subframes, dtype).tolist(), 0.5], dtype=dtype, device=device)
 
 

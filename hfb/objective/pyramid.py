@@ -1,6 +1,6 @@
 """Losses at several scales: a coarser image still overlaps where a body is off by a few pixels.
 
-Readable torch; a fit on the processor runs the compiled form of the same, `hfb.kernels.objective.image_losses`.
+Readable torch; a fit on the CPU runs the compiled form, `hfb.kernels.objective.image_losses`.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def mean_over_scales(
     A coarse pixel is the mean of the four it covers, as a coarser sensor's would be.
 
     Args:
-        loss: of a prediction, an observation and a matte.
+        loss: loss of a prediction, an observation and a matte.
         predicted: the prediction at full size.
         seen: the observation at full size.
         matte: the person's share of each pixel.
@@ -51,7 +51,7 @@ def image_over_scales(
     matte: Float[Tensor, "H W"],
     scales: int,
 ) -> Float[Tensor, ""]:
-    """Return L_I, eq. (3), between the re-blurred picture, eq. (1), and the frame.
+    """Return L_I, eq. (3), between the re-blurred image, eq. (1), and the frame.
 
     Args:
         mean: mean premultiplied colour and silhouette of the sub-frames.

@@ -15,7 +15,7 @@ def pose_loss(prior: Callable[[Tensor], Tensor], axis_angle: Float[Tensor, "S 23
     """Return L_P = 1/N sum_i prior(theta_i), eq. (6).
 
     Args:
-        prior: how unlikely each pose is, >= 0; a `hfb.priors.pose.PosePrior`.
+        prior: a `hfb.priors.pose.PosePrior`; its values are not negative.
         axis_angle: the joints below the root in every sub-frame [rad].
     """
     return prior(axis_angle).mean()
@@ -64,7 +64,7 @@ def background_loss(
 
     |B - R_F|_1 is read as one number per sub-frame, the mean over channels and over the pixels inside the
     silhouette (each with its covered share): a reciprocal per pixel explodes at the first pixel whose colour
-    happens to match. A sub-frame without a body in the picture counts as zero and gets no gradient.
+    happens to match. A sub-frame without a body in the image counts as zero and gets no gradient.
 
     Args:
         background: B, the clean plate.
@@ -82,11 +82,12 @@ def background_loss(
 def start_loss(rotations: Float[Tensor, "T S J 3 3"], first: Float[Tensor, "T J 3 3"]) -> Float[Tensor, ""]:
     """Return the mean over the joints of 2 - 2 cos(angle) [~ rad^2] between the middle pose and the first body's.
 
-    Not in the paper. The estimator of the first body knows better what the image hardly shows, such as the depth of a
-    limb; this term keeps its estimate where nothing contradicts it.
+    It is not in the paper. The estimator of the first body is more accurate where the image hardly constrains the body,
+    such as in the depth of a limb; this term keeps its estimate where nothing contradicts it.
 
     Args:
-        rotations: of the joints relative to the parents (the root to the camera), the middle of the exposure last.
+        rotations: rotations of the joints relative to the parents (the root to the camera), the middle of the exposure
+            last.
         first: the first body's.
     """
     if compiled(rotations):

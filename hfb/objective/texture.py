@@ -97,12 +97,12 @@ class _Variation(torch.autograd.Function):
 
 
 def _window(picture: Tensor, down: int, right: int) -> Tensor:
-    """The texels that have a neighbour at (down, right), as a view."""
+    """Return the texels that have a neighbour at (down, right), as a view."""
     height, width = picture.shape[:2]
     return picture[: height - down, max(-right, 0) : width - max(right, 0)]
 
 
 def _shifted(picture: Tensor, down: int, right: int) -> Tensor:
-    """Those neighbours, in the same order, as a view."""
+    """Return those neighbours, in the same order, as a view."""
     width = picture.shape[1]
     return picture[down:, max(right, 0) : width - max(-right, 0)]

@@ -13,7 +13,7 @@ StageKind = Literal["warm-up", "coarse", "full"]
 
 WARM_UP_JOINTS, WARM_UP_PATH = 1.0, 0.3
 WARM_UP_DIVISORS = {"pose": 20, "motion": 10, "start": 10}
-"""Until the skeleton has moved to the network's joints, regularisers count less."""
+"""Divisors of the regularisers' weights until the skeleton has moved to the network's joints."""
 
 REFINED_HEIGHT_SCALE = 0.22
 """Factor of the height's standard deviation once render and image are compared: about 20 times its weight."""
@@ -39,7 +39,7 @@ def base_weights(config: FitConfig, n_frames: int) -> Weights:
 
     Args:
         config: options of the fit.
-        n_frames: of the problem.
+        n_frames: number of the problem's frames.
     """
     weights = config.weights
     changed = {}
@@ -55,8 +55,8 @@ def stage_weights(config: FitConfig, n_frames: int, kind: StageKind) -> StageWei
 
     Args:
         config: options of the fit.
-        n_frames: of the problem.
-        kind: of stage.
+        n_frames: number of the problem's frames.
+        kind: kind of stage.
     """
     weights = base_weights(config, n_frames)
     if kind == "warm-up":

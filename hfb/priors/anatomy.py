@@ -69,7 +69,7 @@ _JOINTS: dict[str, _Joint] = {
 class _Tables:
     """The joints below the root, right ones mirrored, in the order twist, swing, swing.
 
-    angles: lowest, highest, mean and standard deviation [rad].
+    `angles` are lowest, highest, mean and standard deviation [rad].
     """
 
     order: Int[Tensor, "23 3"]
@@ -135,7 +135,7 @@ class AnatomicalPrior:
     """
 
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
-        """Both parts; see `PosePrior`."""
+        """Return the sum of both parts; see `PosePrior`."""
         if compiled(axis_angle):
             tables = _tables(torch.float64, axis_angle.device)
             return anatomy(axis_angle, tables.order, tables.angles, radians(_LIMIT_SCALE_DEG))[0]
@@ -174,6 +174,6 @@ class AnatomicalPrior:
 
 
 def _excess(angles: Tensor, tables: _Tables) -> Tensor:
-    """How far the angles lie outside their ranges, in units of the limits' softness."""
+    """Return how far the angles are outside their ranges, in units of the limits' softness."""
     lowest, highest, _, _ = tables.angles
     return (angles - angles.clamp(lowest, highest)) / radians(_LIMIT_SCALE_DEG)

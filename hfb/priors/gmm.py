@@ -12,15 +12,15 @@ _POSE_SIZE = 69
 class GmmPrior:
     """prior = min_k 1/2 (theta - mu_k)' inv(Sigma_k) (theta - mu_k) - log w_k + 1/2 log(|Sigma_k| / min |Sigma|).
 
-    The sum of a mixture approximated by its largest term, as in SMPLify's eq. (3): cheap, and without exponentials that
-    vanish. The constant 69/2 log(2 pi) is left out and the determinants are relative to the smallest, as SMPLify does:
-    every part is then >= 0.
+    It approximates the sum of a mixture by its largest term, as in SMPLify's eq. (3): cheap, and without exponentials
+    that vanish. The constant 69/2 log(2 pi) is left out and the determinants are relative to the smallest, as in
+    SMPLify: every part is then >= 0.
 
     Args:
         means: mu_k, axis-angle of joints 1 to 23 [rad].
         covariances: Sigma_k.
         weights: w_k; they are normalised to sum to one.
-        source: what to call the file in messages.
+        source: the file's name in messages.
 
     Raises:
         InputError: the sizes do not belong to SMPL's 69 angles, or a covariance is not positive definite.
@@ -57,7 +57,7 @@ class GmmPrior:
         return ((whitened * whitened).sum(-1) / 2 + offsets).amin(-1)
 
     def _parts(self, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
-        """Means, whitening and offsets where and as they are used; copied to a device once."""
+        """Return means, whitening and offsets in the pose's precision and device; copied to a device once."""
         key = device, dtype
         if key not in self._copies:
             self._copies[key] = tuple(part.to(device, dtype) for part in (self.means, self._whitening, self._offsets))

@@ -1,4 +1,4 @@
-"""Choosing a pose prior, and reading users' files without running any code in them."""
+"""Loading of pose priors; no code in a user's file is run."""
 
 import zipfile
 from collections import OrderedDict
@@ -55,7 +55,7 @@ def load_pose_prior(path: Path | None, kind: Literal["anatomy", "mixture"] = "an
 
 
 def _numbers(values: object, path: Path) -> Float[Array, "..."]:
-    """An array, a tensor or what stands for an array in a pickle, as float64."""
+    """Return an array, a tensor or what stands for an array in a pickle, as float64."""
     if isinstance(values, torch.Tensor):
         return values.detach().cpu().double().numpy()
     try:
@@ -65,7 +65,7 @@ def _numbers(values: object, path: Path) -> Float[Array, "..."]:
 
 
 def _read(path: Path) -> Mapping[str, object]:
-    """A file's arrays by name, whatever container they are in."""
+    """Read a file's arrays by name, whatever its container."""
     if path.stat().st_size > UNPACKED_LIMIT:
         raise InputError(f"{path}: is larger than {UNPACKED_LIMIT >> 20} MB, no pose prior is; {_ACCEPTED}")
     with path.open("rb") as file:
@@ -87,14 +87,14 @@ def _read(path: Path) -> Mapping[str, object]:
 
 
 class _Ignored:
-    """Stands for whatever a training run left in its checkpoint beside the weights; holds state, runs nothing."""
+    """Stands for other content of a training run's checkpoint; holds state, runs nothing."""
 
     def __new__(cls, *_args: object, **_kwargs: object) -> OrderedDict:  # type: ignore[misc]
         return OrderedDict()
 
 
 def _read_torch(path: Path) -> Mapping[str, object]:
-    """The tensors of a checkpoint, by torch's own restricted reader.
+    """Read the tensors of a checkpoint, by torch's own restricted reader.
 
     VPoser v2 comes as a Lightning checkpoint with objects of its training run in it: their classes are replaced by
     `_Ignored` instead of being imported.
@@ -112,7 +112,7 @@ def _read_torch(path: Path) -> Mapping[str, object]:
 
 
 def _read_pickle(path: Path) -> Mapping[str, object]:
-    """The named arrays of SMPLify's mixture, still as they were pickled."""
+    """Read the named arrays of SMPLify's mixture as placeholders."""
     try:
         fields = load_pickle(path.read_bytes())
     except InputError as error:

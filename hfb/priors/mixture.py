@@ -17,12 +17,18 @@ LIMITS_KEY = "joint_limits"
 
 
 class MixturePrior:
-    """prior = mixture + limits: the likeliest Gaussian's part as in `GmmPrior`, and what lies beyond the joint limits.
+    """prior = mixture + limits: the likeliest Gaussian's part as in `GmmPrior`, plus the excess of the joint limits.
 
-    A mixture alone is smooth: a knee bent backwards by a few degrees lies as near to its means as one bent forwards.
+    A mixture alone is smooth: a knee bent backwards by a few degrees is as near to its means as one bent forwards.
 
-    Args, Raises:
-        as `GmmPrior`.
+    Args:
+        means: mu_k, axis-angle of joints 1 to 23 [rad].
+        covariances: Sigma_k.
+        weights: w_k; they are normalised to sum to one.
+        source: the file's name in messages.
+
+    Raises:
+        InputError: as for `GmmPrior`.
     """
 
     def __init__(
@@ -43,9 +49,9 @@ def write_mixture(
 
     Args:
         path: the file.
-        means: of the components.
-        covariances: of the components.
-        weights: of the components.
+        means: means of the components.
+        covariances: covariances of the components.
+        weights: weights of the components.
     """
     arrays = {"means": means, "covariances": covariances, "weights": weights, LIMITS_KEY: np.ones(1)}
     write_bytes_atomic(path, save({name: np.ascontiguousarray(one, np.float32) for name, one in arrays.items()}))

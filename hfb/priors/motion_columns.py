@@ -1,11 +1,11 @@
-"""The coefficient matrix C in the one form that the motion prior knows, whatever kind of polynomials a fit uses.
+"""The coefficient matrix C in the motion prior's form, for any kind of polynomials.
 
-A fit's own coefficients mean different things: quaternions or axis and angle, time from the start or from the middle,
-the root seen by whatever camera. Here C is what the motion itself determines: unit quaternions at five instants, and
-the quadratic in u - 1/2 nearest to them. The root's rotation and the translation are taken in the body's own frame at
-mid-exposure, so that C, and with it the prior, does not depend on the camera: where the person stands, which way it
-faces and where "up" is are all gone. With the origin in the middle of a symmetric clock, running a column backwards in
-time, c(u) -> c(1 - u), changes the sign of its linear coefficient and nothing else.
+A fit's own coefficients depend on its options: quaternions or axis and angle, time from the start or from the middle,
+the camera's frame of the root. Here C is determined by the motion alone: unit quaternions at five instants, and the
+quadratic in u - 1/2 nearest to them. The root's rotation and the translation are taken in the body's own frame at
+mid-exposure, so that C, and with it the prior, does not depend on the camera: neither on the person's position and
+heading nor on the vertical. With the origin in the middle of a symmetric clock, running a column backwards in time,
+c(u) -> c(1 - u), changes the sign of its linear coefficient and nothing else.
 """
 
 from functools import lru_cache
@@ -33,7 +33,7 @@ LIMBS: dict[str, tuple[int, ...]] = {
     "left arm": (13, 16, 18, 20, 22),
     "right arm": (14, 17, 19, 21, 23),
 }
-"""Columns that a picture confuses together: which way a limb moved is one question per limb."""
+"""Columns that an image confuses together: which way a limb moved is one question per limb."""
 
 
 def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:
@@ -51,7 +51,7 @@ def columns_of(
     """Return C of motions given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m].
 
     Args:
-        rotations: of every joint at the instants of `CLOCK`.
+        rotations: rotations of every joint at the instants of `CLOCK`.
         translations: at the same instants [m].
     """
     middle = CLOCK.index(0.5)
@@ -86,8 +86,8 @@ def joint_places(
 
     Args:
         rest: joints of the rest pose [m].
-        rotations: of every joint in its parent's frame.
-        translations: of the body [m].
+        rotations: rotations of every joint in its parent's frame.
+        translations: translations of the body [m].
     """
     turns, places = [rotations[:, 0]], [rest[0] + translations]
     for joint in range(1, JOINT_COUNT):

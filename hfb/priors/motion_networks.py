@@ -19,7 +19,7 @@ def motion_features(columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 
     """Return the input of D: per joint its rotation at mid-exposure and its position and motion in the body's frame.
 
     First and second differences of rotations and of joint positions are divided by their root mean square over the
-    body: how far things moved depends on how long the shutter was open. That scale comes as two features of its own.
+    body, since distances depend on the exposure time. That scale is given as two features of its own.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
@@ -39,7 +39,7 @@ def motion_features(columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 
 
 
 def _tangent(middle: Float[Tensor, "T J 4"], change: Float[Tensor, "T 2 J 4"]) -> Float[Tensor, "T 2 J 3"]:
-    """Coefficients of a quaternion as rotation vectors [rad] in the joint's own frame: 2 (q^-1 c)."""
+    """Return coefficients of a quaternion as rotation vectors [rad] in the joint's own frame: 2 (q^-1 c)."""
     w, xyz = middle[:, None, :, :1], middle[:, None, :, 1:]
     v, abc = change[..., :1], change[..., 1:]
     return 2 * (w * abc - v * xyz - torch.linalg.cross(xyz.expand_as(abc), abc))
@@ -50,7 +50,7 @@ def _root_mean_square(vectors: Float[Tensor, "T J 3"]) -> Float[Tensor, "T 1 1"]
 
 
 def _signs_when_reversed() -> Float[Tensor, "458"]:
-    """What running the whole body backwards does to its features: first differences change their sign."""
+    """Return the signs by which reversing the whole body changes its features: first differences are negated."""
     signs = torch.ones(JOINT_COUNT, FEATURES_PER_JOINT)
     signs[:, [4, 5, 6, 13, 14, 15]] = -1
     return torch.cat([signs.flatten(), torch.ones(2)])
@@ -82,7 +82,7 @@ class _Residual(nn.Module):
 
 
 def _trunk(inputs: int, width: int, depth: int, dropout: float) -> nn.Sequential:
-    """Fully connected layers with a way past each of them."""
+    """Build fully connected layers with skip connections."""
     first = nn.Sequential(_Gated(inputs, width), nn.Dropout(dropout))
     return nn.Sequential(first, *[_Residual(width, dropout) for _ in range(depth - 1)], nn.LayerNorm(width))
 
@@ -91,8 +91,13 @@ class Discriminator(nn.Module):
     """D: for every column of C the log odds that it runs backwards in time, and that it is unrealistic otherwise.
 
     The paper's indicator has an entry per entry of C. A column runs backwards as a whole, so one number per column
-    holds for all of its entries. Running the whole body backwards turns every answer of the first kind into its
-    opposite and leaves those of the second kind: the network is made so, by looking at the motion and at its reverse.
+    holds for all of its entries. By construction, from the motion and its reverse, reversing the whole body negates
+    every output of the first kind and keeps those of the second kind.
+
+    Args:
+        width: width of the hidden layers.
+        depth: number of hidden layers.
+        dropout: dropout rate in training.
     """
 
     mean: Tensor
@@ -129,8 +134,8 @@ class Discriminator(nn.Module):
     ) -> tuple[Float[Tensor, "T 25"], Float[Tensor, "T"]]:
         """Log odds that each column, and the whole body, runs backwards, as sure as they may be about strangers.
 
-        Networks are surer than they are right about people and activities that they have not learned from: their log
-        odds are divided by a temperature. The corrector G takes them as they are.
+        Networks are overconfident about people and activities outside of their training data, so their log odds are
+        divided by a temperature. The corrector G uses them as they are.
 
         Args:
             columns: motion in the body's own frame, see `motion_columns`.
@@ -143,7 +148,12 @@ class Discriminator(nn.Module):
 class Corrector(nn.Module):
     """G: realistic coefficients from given ones and the indicator.
 
-    It turns columns round by a gate, c1 -> (1 - 2 gate) c1, and adds a correction to every entry.
+    It reverses columns by a gate, c1 -> (1 - 2 gate) c1, and adds a correction to every entry.
+
+    Args:
+        width: width of the hidden layers.
+        depth: number of hidden layers.
+        dropout: dropout rate in training.
     """
 
     mean: Tensor

@@ -1,4 +1,4 @@
-"""The adversarial short motion prior: which way did it move? (the paper's section "Adversarial short motion prior")."""
+"""The adversarial short motion prior, which judges the direction of motion (the paper's section of that name)."""
 
 import copy
 from functools import lru_cache
@@ -21,17 +21,18 @@ _SHIPPED = torch.float32, torch.device("cpu")
 
 
 class MotionPrior:
-    """D and G, trained and frozen. It looks at the motion in the body's own frame: no camera changes its answer.
+    """D and G, trained and frozen, applied in the body's own frame, so that results do not depend on the camera.
 
     Args:
-        discriminator, corrector: the networks; their weights are never changed through a prior.
+        discriminator: the networks; their weights are never changed through a prior.
+        corrector: the networks; their weights are never changed through a prior.
     """
 
     def __init__(self, discriminator: Discriminator, corrector: Corrector) -> None:
         self._networks = {_SHIPPED: (_frozen(discriminator), _frozen(corrector))}
 
     def __call__(self, trajectory: Trajectory, shaped: ShapedBody) -> Float[Tensor, ""]:
-        """L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
+        """Return L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
 
         Args:
             trajectory: polynomials of the motion.
@@ -68,7 +69,7 @@ class MotionPrior:
         return self._in(trajectory.rotation)[0].odds(motion_columns(trajectory), rest)
 
     def _in(self, like: Tensor) -> tuple[Discriminator, Corrector]:
-        """The networks in the precision and the place of what they look at."""
+        """Return the networks in the precision and on the device of their input."""
         key = like.dtype, like.device
         if key not in self._networks:
             discriminator, corrector = self._networks[_SHIPPED]
@@ -90,7 +91,7 @@ def load_motion_prior(path: Path | None) -> MotionPrior:
 
 @lru_cache(maxsize=1)
 def _shipped() -> MotionPrior:
-    """The weights of data/motion_prior.safetensors; data/motion_prior.json tells how they were made."""
+    """Load the weights of data/motion_prior.safetensors; data/motion_prior.json tells how they were trained."""
     with resources.as_file(resources.files("hfb.priors") / "data" / "motion_prior.safetensors") as path:
         return MotionPrior(*read_networks(path))
 
@@ -100,5 +101,5 @@ def _frozen(network: NetworkT) -> NetworkT:
 
 
 def _moved(network: NetworkT, like: Tensor) -> NetworkT:
-    """A copy of a frozen network; may be called inside `torch.func.vmap`, which forbids to freeze one."""
+    """Return a copy of a frozen network; may be called inside `torch.func.vmap`, which forbids to freeze one."""
     return copy.deepcopy(network).to(like.device, like.dtype)

@@ -1,4 +1,4 @@
-"""How large the networks of the motion prior are. Light to import."""
+"""Sizes of the motion prior's networks. Light to import."""
 
 from pydantic import Field
 
@@ -6,7 +6,7 @@ from hfb.config import Record
 
 
 class NetworkSizes(Record):
-    """How large the two networks of the motion prior are; widths and depths are of their hidden layers."""
+    """Sizes of the motion prior's two networks; widths and depths are of their hidden layers."""
 
     discriminator_width: int = Field(512, ge=1, le=4096)
     discriminator_depth: int = Field(3, ge=1, le=16)

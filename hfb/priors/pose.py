@@ -1,4 +1,4 @@
-"""What a pose prior is."""
+"""The protocol of pose priors."""
 
 from typing import Protocol, runtime_checkable
 
@@ -7,16 +7,16 @@ from hfb.typing import Float, Tensor
 
 @runtime_checkable
 class PosePrior(Protocol):
-    """How unlikely a body pose is.
+    """The improbability of a body pose.
 
     All priors here are of one size: a few tens for an ordinary pose (each is about half a squared Mahalanobis
     norm over the pose's degrees of freedom), so one weight serves them all.
     """
 
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
-        """A number >= 0 per pose, lower is likelier; differentiable.
+        """Return a number >= 0 per pose, lower for likelier poses; differentiable.
 
         Args:
-            axis_angle: SMPL's joints 1 to 23, relative to their parents [rad].
+            axis_angle: joints below the root [rad].
         """
         ...

@@ -23,7 +23,7 @@ _BATCH_NORM_EPSILON = 1e-5
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where a version keeps its layers; each encoder layer is (batch norm before it or "", linear, slope after it)."""
+    """Names of a version's layers; each encoder layer is (batch norm before it or "", linear, slope after it)."""
 
     encoder: tuple[tuple[str, str, float], ...]
     decoder: tuple[tuple[str, str, float], ...]
@@ -71,6 +71,11 @@ class VPoserPrior:
     """prior(theta) = |mu(theta)|_2^2, the latent mean's squared norm: VPoser's latent space is a unit Gaussian.
 
     Dropout is off and batch norms use their running statistics, as at any time but training.
+
+    Args:
+        version: version of the checkpoint.
+        encoder: layers of the encoder.
+        decoder: layers of the decoder.
     """
 
     def __init__(self, version: str, encoder: tuple[_Dense, ...], decoder: tuple[_Dense, ...]) -> None:
@@ -83,7 +88,7 @@ class VPoserPrior:
 
         Args:
             state: with or without a prefix such as ``vp_model.`` before the names.
-            source: what to call the file in messages.
+            source: the file's name in messages.
 
         Raises:
             InputError: neither version's layers, or layers that do not fit together.
@@ -129,12 +134,12 @@ class VPoserPrior:
 
 @lru_cache(maxsize=64)
 def _placed(layer: _Dense, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """A layer's weight and bias where and as they are used; copied to a device once."""
+    """Return a layer's weight and bias in the pose's precision and device; copied to a device once."""
     return layer.weight.to(device, dtype), layer.bias.to(device, dtype)
 
 
 def _dense(state: Mapping[str, Tensor], prefix: str, layer: tuple[str, str, float], source: str) -> _Dense:
-    """One linear layer, the batch norm before it folded in: W (s x + t) + b = (W s) x + (W t + b)."""
+    """Fold the batch norm before a linear layer into it: W (s x + t) + b = (W s) x + (W t + b)."""
     norm, linear, slope = layer
 
     def read(name: str) -> Tensor:

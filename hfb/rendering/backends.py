@@ -19,10 +19,10 @@ def make_rasterizer(
             the edge; "dibr" is DIB-R's soft mask, a halo outside the edge, as in the paper.
         backend: "cpu" are the compiled kernels, "reference" the readable torch formulas they are tested against, "cuda"
             the Warp kernels on a CUDA device, "warp" the same on one thread of the processor.
-        threads: of the compiled kernels; the result does not depend on it.
+        threads: number of the compiled kernels' threads; results do not depend on it.
 
     Raises:
-        InputError: Warp or a CUDA device is missing, or asked for what the Warp kernels do not draw.
+        InputError: Warp or a CUDA device is missing, or the Warp kernels do not support the silhouette.
     """
     if backend == "reference":
         from hfb.rendering.reference import ReferenceRasterizer

@@ -1,4 +1,4 @@
-"""The fast rasteriser: compiled kernels, one body at a time, any number of threads, always the same bits."""
+"""The fast rasteriser: compiled kernels, bit-equal for any number of threads."""
 
 from typing import Literal
 
@@ -15,7 +15,12 @@ from hfb.typing import Float, Tensor
 
 
 class CpuRasterizer:
-    """The Protocol of `hfb.rendering.rasterizer` in float32 or float64 (the kernels compute and add in float64)."""
+    """The Protocol of `hfb.rendering.rasterizer` in float32 or float64 (the kernels compute and add in float64).
+
+    Args:
+        silhouette: exact coverage, or DIB-R's mask.
+        threads: number of threads; results do not depend on it.
+    """
 
     def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage", threads: int = 1) -> None:
         self.silhouette = silhouette
@@ -39,14 +44,14 @@ class CpuRasterizer:
     def _same(
         self, camera: PinholeCamera, mesh: Mesh, mean: bool
     ) -> tuple[Tensor, list[Tensor], list[float], list[float], bool, int]:
-        """What is the same whatever the bodies and the texture."""
+        """Return the arguments that do not depend on bodies and texture."""
         lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height]
         soft = dibr_constants(camera) if self.silhouette == "dibr" else (0.0, 0.0, 0)
         numbers = [float(value) for value in lens], [float(value) for value in soft]
         return *self._of_mesh(mesh), *numbers, mean, self.threads
 
     def _setting(self, camera: PinholeCamera, mesh: Mesh, mean: bool) -> Setting:
-        """Kept for the mesh and the camera used last."""
+        """Return the setting, cached for the last mesh and camera."""
         kept = self._kept
         if kept is None or kept[0] is not mesh or kept[1:3] != (camera, mean):
             kept = self._kept = (mesh, camera, mean, Setting.of(*self._same(camera, mesh, mean)))
@@ -60,10 +65,10 @@ class CpuRasterizer:
         mesh: Mesh,
         mean: bool,
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], list[float], list[float], bool, int]:
-        """Return the arguments of `operators.draw`.
+        """Return the arguments of `hfb.kernels.rendering.render_operators.draw`.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -93,7 +98,7 @@ class CpuRasterizer:
         """Return one image per sub-frame: R_S R_F and R_S.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -110,12 +115,12 @@ class CpuRasterizer:
         """Return the mean of `render` over the sub-frames, without holding the single images.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """
-        # Not indexed: the way back of that fills a picture with zeros and copies.
+        # Not indexed: the backward pass of an index fills an image with zeros and copies.
         return _coloured(self._drawn(vertices, texture, camera, mesh, True)).squeeze(0)
 
     def image_losses(
@@ -129,11 +134,11 @@ class CpuRasterizer:
         """Return losses of `render_mean`, differentiable in the vertices and the texture; one autograd node for both.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
-            loss: of the mean image, with its gradient.
+            loss: loss of the mean image, with its gradient.
         """
         return losses_of(*_whole(vertices, texture), self._setting(camera, mesh, True), loss)
 
@@ -143,7 +148,7 @@ class CpuRasterizer:
         """Return the mean of R_S over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """
@@ -153,11 +158,11 @@ class CpuRasterizer:
 def _whole(
     vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None
 ) -> tuple[Float[Tensor, "S V 3"], Float[Tensor, "A A 3"]]:
-    """Both as the operators take them: an empty texture for none."""
+    """Return both as arguments of the operators: an empty texture for none."""
     texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
     return vertices.contiguous(), texels.contiguous()
 
 
 def _coloured(drawn: Float[Tensor, "P H W C"]) -> Float[Tensor, "P H W 4"]:
-    """A silhouette alone, C = 1, is black."""
+    """Return a silhouette alone, C = 1, as black with alpha."""
     return drawn if drawn.shape[-1] == 4 else torch.nn.functional.pad(drawn, (3, 0))

@@ -1,4 +1,4 @@
-"""What is seen: blurred frames of one static camera, their background plate and mattes."""
+"""The input of a fit: blurred frames of one static camera, their background plate and mattes."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -15,14 +15,14 @@ from hfb.typing import Float, Tensor
 
 @dataclass(frozen=True)
 class Observation:
-    """T frames with everything a fit may know about them.
+    """T frames with everything that a fit uses of them.
 
     Attributes:
-        frames_linear: the blurred pictures, in the light in which blur is an average.
+        frames_linear: the blurred images, in the light in which blur is an average.
         plate_linear: the clean background.
         mattes: the person's share of each pixel, alpha_in.
-        exposure_s: how long the shutter was open [s].
-        interval_s: from one opening to the next [s].
+        exposure_s: length of each exposure.
+        interval_s: time from one opening of the shutter to the next.
         light: which light ``_linear`` means here; ``"srgb"`` for sets whose blur was averaged in sRGB.
     """
 
@@ -53,7 +53,7 @@ class Observation:
     def region(self, margin: float = 0.15, threshold: float = 0.05, square: bool = False) -> tuple[int, int, int, int]:
         """Return left, top, width, height [px] of the box around all mattes, widened by a share of its size.
 
-        The box may reach outside the picture: the body may too.
+        The box may reach outside the image, as the body may.
 
         Args:
             margin: added on each side, as a share of the longer side.
@@ -77,10 +77,10 @@ class Observation:
         """Return the scene through a window; outside the image its border is repeated, without a person.
 
         Args:
-            left: of the window [px], may be negative.
-            top: of the window [px], may be negative.
-            width: of the window [px].
-            height: of the window [px].
+            left: left edge of the window [px], may be negative.
+            top: top edge of the window [px], may be negative.
+            width: width of the window [px].
+            height: height of the window [px].
         """
         full_height, full_width = self.mattes.shape[1:]
         window = (

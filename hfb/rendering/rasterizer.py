@@ -1,4 +1,4 @@
-"""The one interface through which the forward model sees a body: R_F and R_S of the paper's eq. (1)."""
+"""The interface of rasterisers: R_F and R_S of the paper's eq. (1)."""
 
 from typing import Protocol, runtime_checkable
 
@@ -15,7 +15,7 @@ class Rasterizer(Protocol):
     """Draws bodies, one per sub-frame: differentiable in the vertices and in the texture.
 
     vertices: [m], camera coordinates (OpenCV). texture: linear RGB, row 0 is v = 0; None where only the
-    silhouette is wanted (its colours are then zero). A body outside the picture, behind the lens or of zero
+    silhouette is wanted (its colours are then zero). A body outside the image, behind the lens or of zero
     size draws nothing and receives zero gradients.
     """
 
@@ -29,7 +29,7 @@ class Rasterizer(Protocol):
         """Return one image per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1].
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -46,7 +46,7 @@ class Rasterizer(Protocol):
         """Return `render(...).mean(0)`, the averages of eq. (1), without holding the single images.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -59,7 +59,7 @@ class Rasterizer(Protocol):
         """Return the mean of R_S over the sub-frames, which is compared with the matte. Cheaper than `render_mean`.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """

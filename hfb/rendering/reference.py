@@ -1,6 +1,6 @@
-"""The readable rasteriser: what the fast ones must agree with, in values and in gradients (by autograd).
+"""The readable rasteriser, the reference of the fast ones in values and in gradients (by autograd).
 
-Written for clarity, in plain torch, row of pixels by row of pixels: use it in tests and for small pictures.
+Written for clarity, in plain torch, row of pixels by row of pixels: use it in tests and for small images.
 The silhouette is the exact share of each pixel covered by the union of the front faces, found here by another
 way than in the kernels (whole rows are cut into slabs, nothing is accumulated), so that each checks the other.
 """
@@ -51,7 +51,7 @@ def outline_edges(front: Bool[Tensor, "F"], mesh: Mesh) -> Int[Tensor, "C 3"]:
 
 
 def _crossing_heights(p: Float[Tensor, "n 2"], d: Float[Tensor, "n 2"]) -> Float[Tensor, "m"]:
-    """Heights y at which edges p + t d, 0 < t < 1, cross each other."""
+    """Return heights y at which edges p + t d, 0 < t < 1, cross each other."""
     across = d[:, None, 0] * d[None, :, 1] - d[:, None, 1] * d[None, :, 0]
     apart = p[None] - p[:, None]
     safe = torch.where(across == 0, torch.ones_like(across), across)
@@ -75,7 +75,7 @@ def _share_right_of(top: Float[Tensor, "*n"], bottom: Float[Tensor, "*n"], width
 
 
 def _cover_row(p: Float[Tensor, "n 2"], q: Float[Tensor, "n 2"], row: int, width: int) -> Float[Tensor, "W"]:
-    """Covered share of one row of pixels, from the outline edges p -> q that touch it."""
+    """Return covered share of one row of pixels, from the outline edges p -> q that touch it."""
     d = q - p
     # The covered length is continuous where one slab meets the next: the heights need no gradient.
     with torch.no_grad():
@@ -102,8 +102,8 @@ def coverage(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, w
     Args:
         xy: vertices on the screen [px].
         edges: outline edges (from, to, ...), see `outline_edges`.
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     p, q = xy[edges[:, 0]], xy[edges[:, 1]]
     low, high = torch.minimum(p, q)[:, 1], torch.maximum(p, q)[:, 1]
@@ -119,7 +119,7 @@ def barycentric(points: Float[Tensor, "*n 2"], corners: Float[Tensor, "*n 3 2"])
 
     Args:
         points: on the screen [px].
-        corners: of the triangles [px].
+        corners: corners of the triangles [px].
     """
     a, b, c = corners.unbind(-2)
 
@@ -144,11 +144,11 @@ def visible_faces(
 
     Args:
         xy: vertices on the screen [px].
-        inverse_depth: of the vertices [1/m].
+        inverse_depth: inverse depth of the vertices [1/m].
         front: faces that look at the camera.
         faces: vertex numbers of each triangle.
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     candidates = front.nonzero().squeeze(1)
     y = xy[faces[candidates]][..., 1]
@@ -176,8 +176,8 @@ def rim_edges(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, 
     Args:
         xy: vertices on the screen [px].
         edges: outline edges (from, to, ...), see `outline_edges`.
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     p = xy[edges[:, 0]]
     d = xy[edges[:, 1]] - p
@@ -227,7 +227,7 @@ def _uv_of_faces(
     inverse_depth: Float[Tensor, "V"],
     mesh: Mesh,
 ) -> Float[Tensor, "n 2"]:
-    """Perspective-correct texture coordinates of pixel centres in their faces."""
+    """Return perspective-correct texture coordinates of pixel centres in their faces."""
     corners = mesh.faces.long()[face]
     weights = barycentric(centres, xy[corners]) * inverse_depth[corners]
     uv = mesh.uv.to(xy.dtype)[mesh.uv_faces.long()[face]]
@@ -241,7 +241,7 @@ def _uv_of_edges(
     inverse_depth: Float[Tensor, "V"],
     mesh: Mesh,
 ) -> Float[Tensor, "n 2"]:
-    """Texture coordinates at the points of outline edges closest to pixel centres."""
+    """Return texture coordinates at the points of outline edges closest to pixel centres."""
     start, end, face = edge.unbind(1)
     t = closest_parameter(centres, xy[start], xy[end] - xy[start])
     weights = torch.stack([(1 - t) * inverse_depth[start], t * inverse_depth[end]], 1)
@@ -252,7 +252,11 @@ def _uv_of_edges(
 
 
 class ReferenceRasterizer:
-    """The Protocol of `hfb.rendering.rasterizer` in plain torch, in the precision of the vertices."""
+    """The Protocol of `hfb.rendering.rasterizer` in plain torch, in the precision of the vertices.
+
+    Args:
+        silhouette: exact coverage, or DIB-R's mask.
+    """
 
     def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage") -> None:
         self.silhouette = silhouette
@@ -297,7 +301,7 @@ class ReferenceRasterizer:
         """Return one image per sub-frame: R_S R_F and R_S.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -314,7 +318,7 @@ class ReferenceRasterizer:
         """Return the mean of `render` over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -327,7 +331,7 @@ class ReferenceRasterizer:
         """Return the mean of R_S over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """

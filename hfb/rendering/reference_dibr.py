@@ -13,7 +13,7 @@ from hfb.geometry.camera import PinholeCamera
 from hfb.typing import Bool, Float, Int, Tensor
 
 INVERSE_DELTA = 7000.0
-"""1 / delta, for distances in units of half the picture's longer side."""
+"""1 / delta, for distances in units of half the image's longer side."""
 REACH = 0.02
 """A face reaches the pixels within its bounding box enlarged by this, in the same unit."""
 NEAREST_FACES = 30
@@ -42,7 +42,7 @@ def soft_mask(
 
     Args:
         xy: vertices on the screen [px].
-        faces: that contribute, whatever side they turn to the camera.
+        faces: faces that contribute, whatever side they turn to the camera.
         owners: numbers by which the result names the faces.
         covered: pixels inside the silhouette.
         camera: pinhole camera; its height and width are the image's.
@@ -76,7 +76,7 @@ def soft_mask(
 def _squared_distances(
     points: Float[Tensor, "n 2"], corners: Float[Tensor, "F 3 2"]
 ) -> tuple[Float[Tensor, "n F"], Int[Tensor, "n F"]]:
-    """Squared distance of each point from each face's nearest side (of equals the first), and which side."""
+    """Return the squared distance of each point from each face's nearest side (of equals the first), and that side."""
     start = corners[None]
     direction = corners.roll(-1, 1)[None] - start
     away = points[:, None, None] - start

@@ -1,6 +1,6 @@
-"""The body's texture: how colours are looked up, which texels belong to a face, and which were seen.
+"""The body's texture: lookup of colours, texels of each face, and visible texels.
 
-A texture is a square picture in linear RGB; texture coordinates (u, v) span it from its left and TOP border,
+A texture is a square image in linear RGB; texture coordinates (u, v) span it from its left and TOP border,
 texel centres lie at half-integer positions, and beyond the outermost centres the border's colour goes on.
 """
 
@@ -15,7 +15,7 @@ from hfb.typing import Bool, Float, Int, Tensor
 
 
 def _texel_cell(coordinate: Float[Tensor, "n"], size: int) -> tuple[Int[Tensor, "n"], Float[Tensor, "n"]]:
-    """First texel of the pair around a coordinate, and the share of the second."""
+    """Return first texel of the pair around a coordinate, and the share of the second."""
     position = (coordinate * size - 0.5).clamp(0, size - 1)
     texel = position.detach().long().clamp_max(max(size - 2, 0))
     return texel, position - texel
@@ -67,7 +67,7 @@ def visible_texels(
     """Return the texels of an A x A texture that some pixel of some sub-frame samples (its four bilinear neighbours).
 
     Args:
-        vertices: of each sub-frame [m], camera coordinates.
+        vertices: vertices of each sub-frame [m], camera coordinates.
         camera: pinhole camera; its height and width are the image's.
         mesh: faces, edges and texture coordinates of the body.
         size: A, the texture's side [texels].

@@ -15,7 +15,7 @@ from hfb.typing import Float, Int, Tensor
 
 
 def _memberships(owners: Int[Tensor, "n k"], count: int) -> tuple[Int[Tensor, "c"], Int[Tensor, "m"]]:
-    """For each of `count` vertices where it stands in a table of vertices: (where its places begin, the places)."""
+    """Return the places of each of `count` vertices in a table of vertices: (first place of each, the places)."""
     flat = owners.flatten().numpy()
     begins = np.concatenate([[0], np.bincount(flat, minlength=count).cumsum()])
     return torch.from_numpy(begins), torch.from_numpy(np.argsort(flat, kind="stable"))
@@ -24,11 +24,14 @@ def _memberships(owners: Int[Tensor, "n k"], count: int) -> tuple[Int[Tensor, "c
 class WarpRasterizer:
     """The Protocol of `hfb.rendering.rasterizer` in float32 or float64, exact coverage (geometry in float64).
 
-    Draws on its own device and answers on the caller's: nothing is copied where these are the same.
+    It renders on its own device and returns results on the caller's; nothing is copied where these are the same.
+
+    Args:
+        device: "cuda", "cuda:1" ..., or "cpu", where the same kernels run on one thread, for tests.
     """
 
     def __init__(self, device: str = "cuda") -> None:
-        """device: "cuda", "cuda:1" ..., or "cpu", where the same kernels run on one thread, for tests.
+        """Choose the device: "cuda", "cuda:1" ..., or "cpu", where the same kernels run on one thread, for tests.
 
         Raises:
             InputError: there is no such device.
@@ -41,7 +44,7 @@ class WarpRasterizer:
         self._tables: tuple[Mesh, int, Tensor, list[Tensor]] | None = None
 
     def _of_mesh(self, mesh: Mesh, vertex_count: int) -> tuple[Tensor, list[Tensor]]:
-        """Texture coordinates of corners and index tables, on the device; kept for the mesh used last."""
+        """Return texture coordinates of corners and index tables, on the device; kept for the mesh used last."""
         tables = self._tables
         if tables is None or tables[0] is not mesh or tables[1] != vertex_count:
             members = *_memberships(mesh.faces, vertex_count), *_memberships(mesh.edge_vertices, vertex_count)
@@ -58,16 +61,16 @@ class WarpRasterizer:
         cameras: Sequence[PinholeCamera],
         mesh: Mesh,
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], Tensor, list[int], float]:
-        """Return the arguments of `cuda_operators.draw_by_warp`.
+        """Return the arguments of `hfb.kernels.warp.operators.draw_by_warp`.
 
         Args:
-            vertices: of all images' sub-frames, one after another [m], camera coordinates.
+            vertices: vertices of all images' sub-frames, one after another [m], camera coordinates.
             textures: linear light, one per group of cameras; None draws silhouettes alone.
             cameras: one per image, all of one size.
             mesh: faces, edges and texture coordinates of the body.
 
         Raises:
-            ValueError: cameras of several picture sizes, or bodies or textures that do not share out evenly.
+            ValueError: cameras of several image sizes, or bodies or textures that do not share out evenly.
         """
         sizes = {(camera.height, camera.width) for camera in cameras}
         groups = 1 if textures is None else len(textures)
@@ -90,9 +93,9 @@ class WarpRasterizer:
         """Return `render_mean` of several images (frames, windows, whole fits) at once, which uses a device well.
 
         Args:
-            vertices: of each image's sub-frames [m], camera coordinates.
+            vertices: vertices of each image's sub-frames [m], camera coordinates.
             textures: image p uses number p G / P; colours are zero without any.
-            cameras: one per picture, all of one size.
+            cameras: one per image, all of one size.
             mesh: faces, edges and texture coordinates of the body.
         """
         pictures = draw_by_warp(*self.arguments(vertices.flatten(0, 1), textures, cameras, mesh))[0]
@@ -109,7 +112,7 @@ class WarpRasterizer:
         """Return one image per sub-frame: R_S R_F and R_S.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -127,7 +130,7 @@ class WarpRasterizer:
         """Return the mean of `render` over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -140,7 +143,7 @@ class WarpRasterizer:
         """Return the mean of R_S over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """

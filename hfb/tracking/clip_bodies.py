@@ -1,48 +1,37 @@
-"""First bodies of a whole clip: a full search in some frames, their neighbours laid onto the mattes in between.
+"""First bodies of a whole clip: a full search in some frames, interpolation and refinement in between.
 
-A search sees one frame and cannot tell front from back in a silhouette; a clip can: people do not turn around between
-two frames. What a frame does not show at all is taken from its neighbours, and marked.
+A search in one frame cannot distinguish front from back in a silhouette; a clip can, since people do not turn around
+between two frames. A body that a frame does not show is interpolated from its neighbours, and marked.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
-from hfb.body.assets import load_default_body
 from hfb.body.model import Body
-from hfb.body.skeleton import MIRROR
-from hfb.evidence.joint_evidence import predict_joint_evidence
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import (
-    axis_angle_to_matrix,
     axis_angle_to_quaternion,
     in_hemisphere_of,
-    matrix_to_axis_angle,
     normalize_quaternion,
     quaternion_to_axis_angle,
 )
 from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine, refine_swept
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
-from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
-from hfb.typing import Array, Bool, Float, Tensor
+from hfb.typing import Array, Bool, Float
 
 _LAY_ON = (SilhouetteStage(64, 25, 0.02, shape=False),)
 _STAY = Stay(pose=0.02, root=0.1, place=0.5)
 _COMPARE_PX = 64
 _STILL_ENOUGH, _CLEARLY_MOVING = 0.5, 0.1  # soft IoU with the matte of a body at rest; what a path must gain over it
-_TORSO = (1, 2, 16, 17)
-"""Hips and shoulders: where the front is. Arms and legs move, and a search confuses them, whatever the front."""
-_DOUBT_M = 0.2
-"""What one unit of `front_doubt` weighs, in metres that hips and shoulders move: front and back are 0.3 m apart."""
 
 
 @dataclass(frozen=True)
 class ClipBodies:
-    """One body per frame of a clip, as far as there is one.
+    """One body per frame of a clip, where there is one.
 
     Attributes:
         bodies: None where the person is absent.
@@ -71,73 +60,6 @@ def key_frames(present: Bool[Array, "T"], every: int) -> tuple[int, ...]:
         steps = max(1, -(-(stop - 1 - first) // every))
         chosen += sorted({first + round(step * (stop - 1 - first) / steps) for step in range(steps + 1)})
     return tuple(chosen)
-
-
-def front_doubt(observation: Observation, first: FirstBody, body: Body) -> float:
-    """Return how much more certain the joint network is of a body as found than of its mirror image in depth.
-
-    Args:
-        observation: of the body's frame alone.
-        first: a body found in one frame.
-        body: model of the first bodies.
-
-    Returns:
-        the difference of the mean logarithms of the network's own error scales; positive where "as found" is likelier.
-    """
-    found, mirrored = (
-        float(predict_joint_evidence(observation, [one], body).scale.log().mean())
-        for one in (first, mirrored_in_depth(first))
-    )
-    return mirrored - found
-
-
-def agree_on_front(found: Mapping[int, FirstBody], doubts: Mapping[int, float]) -> dict[int, FirstBody]:
-    """Mirror those key frames' bodies in depth that would make the person turn around and back.
-
-    Of all combinations, dynamic programming takes the one with the least movement of hips and shoulders (about the
-    pelvis, from key frame to key frame) and the fewest contradictions to the joint network.
-
-    Args:
-        found: bodies of the key frames, by frame number.
-        doubts: `front_doubt` of every body.
-    """
-    frames = sorted(found)
-    if not frames:
-        return {}
-    options = [(found[frame], mirrored_in_depth(found[frame])) for frame in frames]
-    joints = [[_torso(one) for one in pair] for pair in options]
-    extra = [_DOUBT_M * np.array([max(-doubts[frame], 0.0), max(doubts[frame], 0.0)]) for frame in frames]
-    costs, came_from = extra[0], []
-    for index in range(1, len(frames)):
-        steps = np.array(
-            [
-                [float((joints[index][now] - joints[index - 1][before]).norm(dim=-1).mean()) for before in (0, 1)]
-                for now in (0, 1)
-            ]
-        )
-        total = costs[None] + steps
-        came_from.append(total.argmin(1))
-        costs = total.min(1) + extra[index]
-    state = int(costs.argmin())
-    states = [state]
-    for origin in reversed(came_from):
-        state = int(origin[state])
-        states.append(state)
-    return {frame: pair[state] for frame, pair, state in zip(frames, options, reversed(states), strict=True)}
-
-
-def mirrored_in_depth(first: FirstBody) -> FirstBody:
-    """Mirror a body in the plane of the pelvis, left and right exchanged: from far away it looks the same.
-
-    Args:
-        first: a body found in one frame.
-    """
-    S = torch.diag(first.pose.new_tensor([-1.0, 1.0, 1.0]))
-    M = torch.diag(first.pose.new_tensor([1.0, 1.0, -1.0]))
-    local = axis_angle_to_matrix(first.pose)[list(MIRROR)]
-    turned = S @ local @ S
-    turned = torch.cat([(M @ local[0] @ S)[None], turned[1:]])
-    return replace(first, pose=matrix_to_axis_angle(turned))
 
 
 def between(frame: int, known: Mapping[int, FirstBody]) -> FirstBody:
@@ -184,7 +106,7 @@ def body_between(
         frame: number of the frame.
         known: bodies by frame number, at least one.
         matte: alpha of the frame.
-        camera: of the frame.
+        camera: camera of the frame.
         body: model of the first bodies.
         rasterizer: draws silhouettes; the compiled one with exact coverage by default.
 
@@ -202,7 +124,7 @@ def body_between(
     after = min((k for k in known if k > frame), default=None)
     if shared >= _STILL_ENOUGH or before is None or after is None:
         return best
-    # Somebody who crosses their own width in a frame: laid on along the way from neighbour to neighbour.
+    # A person who moves by their own width in a frame: fitted along the path from neighbour to neighbour.
     path = (known[after].translation - known[before].translation) / (after - before)
     moving, path = refine_swept(start, path, matte, camera, body, drawing, list(_LAY_ON), _STAY)
     return moving if overlap(moving, level, body, drawing, path) > shared + _CLEARLY_MOVING else best
@@ -214,7 +136,7 @@ def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longe
     Args:
         found: bodies by frame.
         present: frames in which the person is seen: others never get a body.
-        longest_fill: of more missed frames in a row none is filled: the clip falls into segments there.
+        longest_fill: longest run of missed frames that is filled; at longer ones the clip is split into segments.
     """
     bodies: list[FirstBody | None] = [found.get(frame) for frame in range(len(present))]
     filled = np.zeros(len(present), bool)
@@ -228,11 +150,3 @@ def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longe
             bodies[frame] = between(frame, near)
             filled[frame] = True
     return ClipBodies(tuple(bodies), filled)
-
-
-def _torso(first: FirstBody) -> Float[Tensor, "4 3"]:
-    """Hips and shoulders about the pelvis [m]."""
-    body = load_default_body()  # lengths hardly matter here, and every body model has these joints
-    shaped = body.shape(torch.zeros(body.shape_count))
-    joints = shaped.joints_of(axis_angle_to_matrix(first.pose.float())[None], torch.zeros(1, 3))[0]
-    return joints[list(_TORSO)] - joints[0]

@@ -1,8 +1,8 @@
-"""A second look at frames in which a followed person was not seen: the matting network finds whom small pictures miss.
+"""A second pass over frames without the tracked person, by the matting network at full size.
 
-A frame in another exposure than its plate differs everywhere, so that nobody stands out in a small picture; the network
-looks at the surroundings of where the person was, in the frame's own exposure. Only who is in full view counts, about
-as large as before and after, where they can have got to, and nearer to them than to anybody else.
+A frame in another exposure than its plate differs everywhere, so that no person stands out in a small image. The
+network therefore sees the surroundings of the person's last position, in the frame's own exposure. A person counts only
+in full view, about as large as before and after, within reach, and nearer than any other person.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,14 +20,14 @@ from hfb.typing import Array, Float
 _LOOK_PX = 256
 _SEEN = 0.5
 _AROUND = 0.6
-"""Of a box's longer side: how far around it is looked."""
+"""Margin of the search around a box, relative to its longer side."""
 _FARTHEST = 0.4
-"""How far somebody goes per frame, in their own height."""
+"""Largest step of a person per frame, in their own height."""
 _ABOUT_AS_HIGH, _ABOUT_AS_LARGE = (0.6, 1.5), (0.35, 1.8)
 _IN_VIEW = 0.01
-"""Of a side of the frame: who is nearer to its edge may be cut off by it."""
+"""Share of a side of the frame: a person nearer to its edge may be cut off by it."""
 _MISSES = 2
-"""In a row, from where the person was last seen: farther into a gap nobody looks."""
+"""Number of frames in a row after the last detection that are searched."""
 
 
 def look_into_gaps(
@@ -41,7 +41,7 @@ def look_into_gaps(
     """Add the boxes of frames in which the person is in full view although tracking missed them.
 
     Args:
-        track: of the person.
+        track: track of the person.
         others: everybody else in the clip.
         picture: a frame by its number, encoded like the plate.
         plate: encoded as sRGB, in full size.
@@ -75,7 +75,7 @@ def _in_full_view(
     away: int,
     alpha: Alpha,
 ) -> Iterator[tuple[Float[Array, "4"], float]]:
-    """Boxes and areas [px] that may be the person's, who was at ``known`` ``away`` frames before or after."""
+    """Yield boxes and areas [px] that may be the person's, who was at ``known`` ``away`` frames before or after."""
     height, width = frame.shape[:2]
     rows, columns = _around(known, away, height, width)
     look, empty = (shrink(srgb_to_linear(np.ascontiguousarray(one[rows, columns])), _LOOK_PX) for one in (frame, plate))
@@ -97,7 +97,7 @@ def _in_full_view(
 
 
 def _is_of(others: Sequence[Track], box: Float[Array, "4"], frame: int, last: int, known: Float[Array, "4"]) -> bool:
-    """Whether somebody else is nearer, where they are in this frame or were when the person was last seen."""
+    """Return whether another person is nearer, in this frame or when the person was last seen."""
     nearest = _way(box, known)
     for other in others:
         here = other.boxes[frame]
@@ -109,7 +109,7 @@ def _is_of(others: Sequence[Track], box: Float[Array, "4"], frame: int, last: in
 
 
 def _way(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
-    """Distance of two boxes' centres [px]."""
+    """Return distance of two boxes' centres [px]."""
     return float(np.hypot(*((one[:2] + one[2:]) - (other[:2] + other[2:])))) / 2
 
 

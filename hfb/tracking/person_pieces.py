@@ -1,6 +1,6 @@
-"""Pieces of one person: a body cut in two where clothes look like the background is told from two people.
+"""Merging of a person's pieces where clothes look like the background; two people stay two.
 
-Small pictures show both alike: one area above another. Between the pieces of one person the matting network sees the
+A small image shows one area above another in both cases. Between the pieces of one person the matting network finds the
 faint rest of a body, between two people nothing.
 """
 
@@ -29,7 +29,7 @@ _LEAST_BRIDGE = 0.04
 two people and above a reflection, 0.05 to 0.7 across hips that hardly differ from a hedge."""
 _FAINT = 0.1
 _SMALLEST_PIECE = 0.06
-"""Of the larger piece's area: less changes no box that matters."""
+"""Share of the larger piece's area: a smaller piece does not change the box."""
 
 
 def join_pieces(
@@ -70,13 +70,13 @@ def matting_look(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array,
         frame_linear: linear light.
         plate_linear: linear light.
     """
-    from hfb.matting.network import NetworkMatting  # torch: only for who asks
+    from hfb.matting.network import NetworkMatting  # imports torch, which is needed only here
 
     return NetworkMatting().look(frame_linear, plate_linear)
 
 
 def _might_be_one(one: Person, other: Person) -> bool:
-    """Above each other, and near enough."""
+    """Return whether two areas are above each other, and near enough."""
     shared = min(one[2], other[2]) - max(one[0], other[0])
     gap = max(one[1], other[1]) - min(one[3], other[3])
     height = max(one[3], other[3]) - min(one[1], other[1])
@@ -91,7 +91,7 @@ def _might_be_one(one: Person, other: Person) -> bool:
 def _bridged(
     one: Person, other: Person, frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], alpha: Alpha
 ) -> bool:
-    """Does every row between the pieces hold a part of a body; where their boxes overlap, are they one area?"""
+    """Return whether every row between the pieces holds a part of a body; overlapping boxes must be one area."""
     left, top, right, bottom, _ = _together(one, other)
     extra = _AROUND * max(right - left, bottom - top)
     height, width = frame.shape[:2]

@@ -1,4 +1,4 @@
-"""Boxes of people out of other systems' files, row by row."""
+"""Reading of other systems' boxes of people, row by row."""
 
 import csv
 from collections.abc import Iterator, Sequence
@@ -50,7 +50,7 @@ def read_rows(path: Path) -> list[TrackRow]:
 
 
 def _rows_of_npz(path: Path) -> list[TrackRow]:
-    """Members ``frame`` (N), ``id`` (N) and ``box`` (N, 4). Raises OSError, ValueError or KeyError."""
+    """Read members ``frame`` (N), ``id`` (N) and ``box`` (N, 4). Raises OSError, ValueError or KeyError."""
     found = read_arrays(path, ("frame", "id", "box"), _BYTE_LIMIT)
     numbers, names, boxes = found["frame"], found["id"], np.asarray(found["box"], np.float64)
     if numbers.ndim != 1 or names.shape != numbers.shape or boxes.shape != (len(numbers), 4):
@@ -59,7 +59,7 @@ def _rows_of_npz(path: Path) -> list[TrackRow]:
 
 
 def _rows_of_csv(path: Path) -> list[TrackRow]:
-    """Columns by their names, or MOTChallenge's without a head. Raises csv.Error, ValueError or IndexError."""
+    """Read columns by their names, or MOTChallenge's without a head. Raises csv.Error, ValueError or IndexError."""
     with path.open(newline="", encoding="utf-8-sig") as file:
         return _rows(line for line in csv.reader(file) if line)
 
@@ -91,6 +91,6 @@ def _sized(line: Sequence[str], left: int, top: int, width: int, height: int) ->
 
 
 def _name(text: str) -> str:
-    """``3`` and ``3.0`` are one person."""
+    """Return an id as text; ``3`` and ``3.0`` are one person."""
     text = text.strip()
     return text[:-2] if text.endswith(".0") and text[:-2].isdigit() else text

@@ -1,6 +1,6 @@
-"""Who is where in a clip: people as the areas that differ from the background, followed from frame to frame.
+"""Tracking of people in a clip, as the areas that differ from the background.
 
-Cheap on purpose: a small picture per frame, one pass, nothing kept but boxes. Another system's tracks can stand in.
+The tracking is cheap: a small image per frame, one pass, only boxes are kept. Another system's tracks can replace it.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -20,24 +20,25 @@ from hfb.typing import Array, Bool, Float
 
 _LOOK_PX = 240
 _LEAST_SHARE = 0.0015
-"""Of the picture's area; a smaller change is no person."""
+"""Share of the image's area; a smaller change is no person."""
 _LEAST_OF_LARGEST = 0.15
-"""Of the frame's largest change: less is a part of somebody, a shade, a reflection."""
+"""Share of the frame's largest change; less is a part of a person, a shadow or a reflection."""
 _FARTHEST, _LONGEST_ABSENCE = 0.4, 30
-"""How far somebody who was lost goes per frame, in their own height, and for how many frames they are looked for."""
+"""Largest step of a lost person per frame, in their own height, and the number of frames of the search."""
 _SHORTEST = 2
 _LEAST_SEEN = 4
-"""Frames, of everyone: less is a shade or somebody at the picture's edge, and no motion."""
+"""Shortest track in frames; shorter ones are shadows or people at the image's edge."""
 _MARGIN, _AROUND = 0.12, 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """One person's way through a clip.
+    """One person's boxes in a clip.
 
     Attributes:
-        name: for messages. boxes: left, top, right, bottom [px]; NaN where not visible.
-        areas: of what was seen of the person [px]; a box's own where nothing better is known.
+        name: for messages.
+        boxes: left, top, right, bottom [px]; NaN where not visible.
+        areas: areas of the visible person [px]; the box's own where nothing better is known.
     """
 
     name: str
@@ -52,11 +53,14 @@ class Track:
 
 @dataclass(frozen=True)
 class ClipFrames:
-    """Which frames of a video a clip's pictures are: another system's tracks count the video's own.
+    """The correspondence of a clip's images to a video's frames, which other systems' tracks count.
 
     Attributes:
-        count: T. first: of the video's frames. average: how many of them make a picture.
-        height, width: of the pictures [px]; boxes outside of them are of nobody seen.
+        count: T.
+        first: first of the video's frames.
+        average: number of them in each image.
+        height: height of the images [px]; boxes outside of them are dropped.
+        width: width of the images [px]; boxes outside of them are dropped.
     """
 
     count: int
@@ -86,13 +90,13 @@ def find_tracks(
 ) -> tuple[Track, ...]:
     """Find everyone seen, in the order of appearance.
 
-    People who cross are told apart by the agreement of their boxes.
+    People who cross are distinguished by the agreement of their boxes.
 
     Args:
         frames: one after another, encoded like the plate.
         plate: encoded like the frames, same size.
         on_progress: called after every frame with the number of frames done.
-        alpha: tells pieces of one person from two people, see `join_pieces`; the shipped matting network's by default.
+        alpha: distinguishes pieces of one person from two people, see `join_pieces`; the shipped network's by default.
     """
     alpha = alpha or matting_look
     scale = min(1.0, _LOOK_PX / max(plate.shape[:2]))
@@ -112,14 +116,14 @@ def find_tracks(
 def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
     """Return the person who is meant: in the given box of the given frame, else the one of whom most is seen.
 
-    Without a box, whoever is seen while that one is away counts as the same person, who left and came back.
+    Without a box, a track during that person's absence counts as the same person, who left and came back.
 
     Args:
-        tracks: of everyone in the clip.
+        tracks: tracks of everyone in the clip.
         choice: a box in a frame, or none.
 
     Raises:
-        InputError: nobody was seen, or nobody in the box.
+        InputError: no person was found, or none in the box.
     """
     if not tracks:
         raise InputError(
@@ -146,10 +150,10 @@ def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice]
     """Return each person who is seen long enough, and the choice by which `choose_track` finds that one again.
 
     Args:
-        tracks: of everyone in the clip.
+        tracks: tracks of everyone in the clip.
 
     Raises:
-        InputError: nobody was seen for long enough.
+        InputError: no person was seen for long enough.
     """
     frames = len(tracks[0].boxes) if tracks else 0
     found = []
@@ -171,7 +175,7 @@ def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice]
 
 
 def _with_returns(by_size: Sequence[Track]) -> Track:
-    """The first track, and of the others those that never show while it, or one taken before, does."""
+    """Return the first track, with those of the others that never appear during it, or during one added before."""
     boxes, areas = by_size[0].boxes.copy(), by_size[0].areas.copy()
     for track in by_size[1:]:
         seen = track.present
@@ -217,8 +221,8 @@ def surroundings(box: Float[Array, "4"], height: int, width: int) -> tuple[slice
 
     Args:
         box: left, top, right, bottom [px].
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     extra = _AROUND * max(box[2] - box[0], box[3] - box[1])
     (left, right), (top, bottom) = (
@@ -232,14 +236,14 @@ def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Tr
     """Read one person's boxes from another system's file.
 
     A .csv names its columns: ``frame`` (from 0), ``id``, ``left``, ``top`` and ``right``, ``bottom`` or ``width``,
-    ``height``; without a head it is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N) and
-    ``box`` (N, 4: left, top, right, bottom).
+    ``height``; one without a header is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N)
+    and ``box`` (N, 4: left, top, right, bottom).
 
-    A picture that is the mean of several frames has the box around all of theirs.
+    An image that is the mean of several frames gets the box around all of theirs.
 
     Args:
         path: the other system's file.
-        track_id: whose; may be left out where the file holds one person.
+        track_id: person's id; may be left out where the file has one person.
         frames: the clip's frames within the video.
 
     Raises:
@@ -274,7 +278,7 @@ def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
         frames: the clip's frames within the video.
 
     Raises:
-        InputError: missing, damaged, or nobody's.
+        InputError: missing, damaged, or without a box in the clip's frames.
     """
     here = {name for frame, name, box in read_rows(path) if frames.place(frame, box) is not None}
     if not here:
@@ -283,7 +287,7 @@ def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
 
 
 def _pieces(changed: Bool[Array, "h w"], scale: float) -> list[Person]:
-    """Every change that may be a person or a part of one, in full pixels."""
+    """Return every change that may be a person or a part of one, in full pixels."""
     closed = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     _, _, stats, _ = cv2.connectedComponentsWithStats(closed)
     return [
@@ -294,7 +298,7 @@ def _pieces(changed: Bool[Array, "h w"], scale: float) -> list[Person]:
 
 
 def _people(pieces: list[Person]) -> list[Person]:
-    """Those that are large enough to be a person, beside the largest, which comes first."""
+    """Return the areas that are large enough relative to the largest, which comes first."""
     return [one for one in pieces if one[4] >= _LEAST_OF_LARGEST * pieces[0][4]]
 
 
@@ -327,7 +331,7 @@ def _follow(tracks: list[dict[int, Person]], people: list[Person], frame: int) -
 
 
 def _way(track: dict[int, Person], person: Person, frame: int) -> float:
-    """How far a person would have gone since a track's last box, in lengths of the larger box per frame that passed."""
+    """Return a person's distance from a track's last box, in lengths of the larger box per frame that passed."""
     last = max(track)
     one, other = np.array(track[last][:4]), np.array(person[:4])
     sides = [float((box[2:] - box[:2]).max()) for box in (one, other)]
@@ -337,7 +341,7 @@ def _way(track: dict[int, Person], person: Person, frame: int) -> float:
 
 
 def _overlap(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
-    """Shared area as a share of the smaller box; 0 for a box that is not known."""
+    """Return the shared area as a share of the smaller box; 0 for an unknown box."""
     return _shared_px(one, other) / max(min(_area_px(one), _area_px(other)), 1e-9)
 
 
@@ -357,7 +361,7 @@ def _area_px(box: Float[Array, "4"]) -> float:
 
 
 def _shared_px(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
-    """Area in both boxes; 0 where one is not known."""
+    """Return the area in both boxes; 0 where one is unknown."""
     size = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
     return float(size.prod()) if (size > 0).all() else 0.0
 

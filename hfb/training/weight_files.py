@@ -23,7 +23,7 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
         path: the file.
 
     Raises:
-        InputError: the file is missing or something else.
+        InputError: the file is missing or holds no weights.
     """
     try:
         found = load_file(path) if path.suffix == ".safetensors" else torch.load(path, weights_only=True)

@@ -1,7 +1,7 @@
-"""What became of every clip of a watched folder: a small file that is written whole after every change.
+"""State of every clip of a watched folder, in a small file that is written atomically after every change.
 
-A clip is told by its name, and by the names, sizes and times of its files and the options: where any of these changes,
-it is a new clip. Light to import.
+A clip is identified by its name, and by the names, sizes and times of its files and the options: where any of these
+changes, it is a new clip. Light to import.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Status = Literal["done", "failed", "set aside"]
 
 
 class Entry(Record):
-    """One clip.
+    """State of one clip.
 
     Attributes:
-        stamp: of its files and the options.
-        attempts: how often it failed since its files changed.
-        due: when it is tried again [s since 1970].
+        stamp: identifies its files and the options.
+        attempts: failures since its files changed.
+        due: time of the next attempt [s since 1970].
     """
 
     stamp: Annotated[str, Field(max_length=200)]
@@ -49,10 +49,15 @@ class Ledger:
     """All clips of a batch, by name.
 
     Attributes:
-        damage: what was wrong with the file, a sentence; finished clips are found again in their folders, at once.
+        damage: a sentence on what was wrong with the file; finished clips are then recognised in their folders.
     """
 
     def __init__(self, path: Path) -> None:
+        """Read the file; ``damage`` tells what is wrong with it.
+
+        Args:
+            path: the file, which need not exist.
+        """
         self._path = path
         self._entries: dict[str, Entry] = {}
         self.damage = ""
@@ -70,16 +75,27 @@ class Ledger:
                 self.damage = f"{path} has entries that are no record of a clip: they are forgotten"
 
     def entry(self, name: str, stamp: str) -> Entry | None:
-        """What is known of a clip as it is now; None for a new or a changed one."""
+        """Return the state of a clip; None for a new or a changed one.
+
+        Args:
+            name: of the clip.
+            stamp: of the clip as it is now.
+        """
         found = self._entries.get(name)
         return found if found is not None and found.stamp == stamp else None
 
     def finished(self, name: str, stamp: str, link: str | None) -> None:
-        """Remember that a clip is done."""
+        """Record that a clip is done.
+
+        Args:
+            name: of the clip.
+            stamp: of the clip as it is now.
+            link: its page in MLflow.
+        """
         self._keep(name, Entry(stamp=stamp, status="done", link=link))
 
     def failed(self, name: str, stamp: str, reason: str, *, attempts: int, wait_s: float, hopeless: bool) -> Entry:
-        """Remember a failure: tried again after a wait that doubles each time, or set aside.
+        """Record a failure: the clip is retried after a wait that doubles each time, or set aside.
 
         Args:
             name: of the clip.
@@ -87,7 +103,7 @@ class Ledger:
             reason: one sentence.
             attempts: failures after which it is set aside.
             wait_s: before the second attempt [s].
-            hopeless: set aside at once, since only another file can mend it.
+            hopeless: sets it aside at once, since only another file can help.
         """
         before = self.entry(name, stamp)
         count = 1 + (before.attempts if before else 0)
@@ -99,7 +115,7 @@ class Ledger:
         return entry
 
     def again(self) -> None:
-        """Take clips that were set aside once more."""
+        """Retry clips that were set aside."""
         self._entries = {name: entry for name, entry in self._entries.items() if entry.status != "set aside"}
 
     def _keep(self, name: str, entry: Entry) -> None:
@@ -109,12 +125,21 @@ class Ledger:
 
 
 def pause_s(wait_s: float, attempts: int) -> float:
-    """Seconds between so many failures and the next attempt: doubled each time, a day at most."""
+    """Return the wait before the next attempt [s]: doubled after each failure, at most a day.
+
+    Args:
+        wait_s: before the second attempt [s].
+        attempts: failures so far.
+    """
     return min(max(wait_s, _DAY_S), wait_s * 2.0 ** min(attempts - 1, 60))
 
 
 def set_aside(path: Path) -> Path:
-    """Give what lies in the place of a file of hfb's another name beside it; returns that."""
+    """Rename a foreign file in the place of one of hfb's; returns its new path.
+
+    Args:
+        path: the file.
+    """
     number = 1
     while os.path.lexists(place := path.with_name(f"{path.name}.set-aside-{number}")):
         number += 1
@@ -123,9 +148,13 @@ def set_aside(path: Path) -> Path:
 
 
 def stamp_of(files: Sequence[Path], options: Mapping[str, object]) -> tuple[str, float]:
-    """What tells a clip from a changed one, and when the latest of its files was written [s since 1970].
+    """Return a hash of a clip's files and options, and the time of its latest change [s since 1970].
 
-    A file that has just gone counts as one of size -1.
+    A file that has just disappeared counts as one of size -1.
+
+    Args:
+        files: of the clip.
+        options: of the run.
     """
     content: list[tuple[str, int, int]] = []
     for path in files:

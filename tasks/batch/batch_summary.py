@@ -1,4 +1,4 @@
-"""summary.html of a batch: rows and small pictures are kept, and only pages that changed are written."""
+"""summary.html of a batch: rows and thumbnails are cached, and only changed pages are written."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class BatchSummary:
     """All clips of a batch, as its pages show them."""
 
     def __init__(self, title: str, out: Path, thumbnails: Path) -> None:
-        """Begin with no clip.
+        """Begin without clips.
 
         Args:
             title: of the pages.
-            out: the folder that they go to.
-            thumbnails: the folder for small pictures, which no clip's result can be in.
+            out: their folder.
+            thumbnails: folder of small images, which no clip's result can be in.
         """
         self._title, self._out, self._thumbnails = title, out, thumbnails
         self._names: list[str] = []
@@ -53,11 +53,15 @@ class BatchSummary:
         self._told: set[str] = set()
 
     def status(self, name: str) -> str:
-        """What is shown of a clip's state."""
+        """Return the displayed state of a clip.
+
+        Args:
+            name: of the clip.
+        """
         return self._clips[name].status
 
     def counts(self) -> BatchCounts:
-        """How many clips there are, and what became of them."""
+        """Return the number of clips in each state."""
         from hfb.report.pages.batch_page import BatchCounts
 
         states = [clip.status for clip in self._clips.values()]
@@ -65,7 +69,11 @@ class BatchSummary:
         return BatchCounts(len(states), states.count("done"), states.count("set aside"), warned_of)
 
     def show_all(self, states: Sequence[tuple[str, str, str, str | None]]) -> None:
-        """Show these clips, and no others: (name, status, reason, link) in the order of the pages."""
+        """Show these clips and no others.
+
+        Args:
+            states: (name, status, reason, link) in the order of the pages.
+        """
         from hfb.report.pages.batch_page import page_count
 
         self._names = [name for name, *_ in states]
@@ -77,12 +85,12 @@ class BatchSummary:
         self._remove_from(pages)
 
     def show(self, name: str, status: str, reason: str = "", link: str | None = None) -> None:
-        """Show what became of one clip: its page, and the first, which counts.
+        """Update one clip: its page, and the first page, which counts.
 
         Args:
             name: of the clip.
-            status: what became of it.
-            reason: why, where it failed.
+            status: its state.
+            reason: why it failed; empty otherwise.
             link: its page in MLflow.
         """
         from hfb.report.pages.batch_page import CLIPS_PER_PAGE
@@ -91,7 +99,7 @@ class BatchSummary:
         self._write(sorted({0, self._places[name] // CLIPS_PER_PAGE}))
 
     def _row(self, name: str, status: str, reason: str, link: str | None) -> BatchClip:
-        """A clip's row, as it was where nothing has changed; a result that cannot be read is that clip's trouble."""
+        """Return a clip's row, cached where nothing has changed; an unreadable result becomes that clip's failure."""
         folder = self._out / name
         signature = (status, reason, link, _stamps(folder))
         known = self._found.get(name)
@@ -123,7 +131,7 @@ class BatchSummary:
             return BatchClip(shown, "set aside", told, facts, link=link)
 
     def _people(self, name: str, facts: Mapping[str, Any]) -> Iterator[BatchClip]:
-        """Of several people; they lie in folders of their own within the clip's, wherever result.json says."""
+        """Yield the people of a clip, from their folders within the clip's, whatever result.json says."""
         from hfb.report.pages.batch_page import BatchClip
 
         for number, one in enumerate((facts.get("people") or ())[:_MOST_PEOPLE], 1):
@@ -138,15 +146,15 @@ class BatchSummary:
             )
 
     def _report_in(self, folder: Path) -> Path | None:
-        """A result's page, from the folder of the summary."""
+        """Return a result's page, relative to the folder of the summary."""
         whole, here = folder.resolve() / REPORT, self._out.resolve()
         return whole.relative_to(here) if whole.is_file() and whole.is_relative_to(here) else None
 
     def _thumbnail(self, name: str, folder: Path) -> Path | None:
-        """The small picture of a result's strip, made where there is none of the strip as it is now.
+        """Return the thumbnail of a result's strip, made where it is missing or outdated.
 
         Raises:
-            InputError: the strip is no picture.
+            InputError: the strip is no image.
         """
         from hfb.report.pages.batch_page import strip_thumbnail
 
@@ -164,7 +172,7 @@ class BatchSummary:
         return place
 
     def _write(self, pages: Sequence[int]) -> None:
-        """Write pages that are not as they were; what stands in the way of one does not end the batch."""
+        """Write changed pages; an obstacle to one does not end the batch."""
         from hfb.report.pages.batch_page import CLIPS_PER_PAGE, batch_page, page_name
 
         counts, every = self.counts(), [self._clips[name] for name in self._names]
@@ -201,7 +209,7 @@ class BatchSummary:
 
 
 def _stamps(folder: Path) -> tuple[object, ...]:
-    """What changes when a result's files do, which its row shows; of a clip of several people theirs too."""
+    """Return what changes when the files shown in a result's row do, including those of several people."""
     people = (folder / f"person-{number}" for number in range(1, _MOST_PEOPLE + 1))
     there = [folder, *takewhile(os.path.lexists, people)]
     return tuple(_stamp(one / name) for one in there for name in (RESULT, _STRIP, REPORT))
@@ -216,7 +224,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 
 def _is_thumbnail(path: Path) -> bool:
-    """Whether it is a small JPEG: the folder may be from somebody else."""
+    """Return whether a file is a small JPEG: the folder may be of foreign origin."""
     from hfb.io.media.images.image_io import picture_size
 
     try:

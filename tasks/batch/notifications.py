@@ -1,6 +1,6 @@
-"""Messages about clips that need somebody: to a webhook, to Slack, or by one of Prefect's notification blocks.
+"""Messages about failed clips: to a webhook, to Slack, or by one of Prefect's notification blocks.
 
-An address is a secret: who knows a webhook may write to it. It is never logged, recorded or a flow's parameter.
+An address is a secret: whoever knows a webhook may write to it. It is never logged, recorded or a flow's parameter.
 Light to import.
 """
 
@@ -26,7 +26,7 @@ from hfb.errors import InputError
 from hfb.tasks.telemetry import progress
 
 VARIABLE = "HFB_NOTIFY"
-"""Addresses for whoever would not have them in a command, divided by blanks."""
+"""Environment variable of addresses that are not given on the command line, separated by blanks."""
 
 FORMS = (
     "https://... (a JSON object is posted, to Slack's incoming webhooks a text), slack:https://... (another server "
@@ -43,7 +43,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ClipTrouble:
-    """A clip that failed. Attributes: state: ``failed`` (it is tried again) or ``set aside``."""
+    """A clip that failed.
+
+    Attributes:
+        state: ``failed`` (it is retried) or ``set aside``.
+    """
 
     name: str
     state: str
@@ -51,10 +55,13 @@ class ClipTrouble:
 
 
 def addresses_of(given: Sequence[str]) -> tuple[str, ...]:
-    """Those of the command line and of the environment, checked.
+    """Return the addresses of the command line and of the environment, checked.
+
+    Args:
+        given: on the command line.
 
     Raises:
-        InputError: one of them has no form that is known.
+        InputError: one of them has an unknown form.
     """
     found = tuple(dict.fromkeys((*given, *os.environ.get(VARIABLE, "").split())))
     for number, address in enumerate(found, 1):
@@ -67,7 +74,11 @@ def addresses_of(given: Sequence[str]) -> tuple[str, ...]:
 
 @contextmanager
 def enable_notifications(addresses: Sequence[str]) -> Iterator[None]:
-    """Send what is told inside to these addresses. They are no argument of a flow: Prefect records those."""
+    """Send messages to these addresses inside the block; they are no parameter of a flow, since Prefect records those.
+
+    Args:
+        addresses: as `addresses_of` returns them.
+    """
     token = _addresses.set(tuple(addresses))
     try:
         yield
@@ -76,12 +87,12 @@ def enable_notifications(addresses: Sequence[str]) -> Iterator[None]:
 
 
 def notify(folder: str, troubles: Sequence[ClipTrouble], counts: Mapping[str, Any]) -> None:
-    """Tell every address of clips that failed. What cannot be told is said here, and ends nothing.
+    """Report failed clips to every address; a failure to send is a line on the terminal and ends nothing.
 
     Args:
         folder: name of the folder of clips.
-        counts: what became of all of them, and ``page``.
-        troubles: clips that failed in this look.
+        troubles: clips that failed in this round.
+        counts: clips in each state, and ``page``.
     """
     if not troubles:
         return
@@ -91,12 +102,17 @@ def notify(folder: str, troubles: Sequence[ClipTrouble], counts: Mapping[str, An
 
 
 def notify_end(folder: str, reason: str) -> None:
-    """Tell every address that a batch ended before it was done."""
+    """Report to every address that a batch ended early.
+
+    Args:
+        folder: name of the folder of clips.
+        reason: one sentence.
+    """
     _tell(f"hfb batch {folder} ended: {reason}", {"event": "batch ended", "folder": folder, "reason": reason})
 
 
 def _tell(text: str, facts: Mapping[str, Any]) -> None:
-    """Each address in a thread of its own, for so long: a receiver that takes its time holds no clip up."""
+    """Send to each address in its own thread, with a time limit: a slow receiver delays no clip."""
     waiting = []
     for number, address in enumerate(_addresses.get(), 1):
         context, failed = contextvars.copy_context(), [f"no answer within {_PATIENCE_S:.0f} s"]
@@ -111,7 +127,7 @@ def _tell(text: str, facts: Mapping[str, Any]) -> None:
 
 
 def _send(address: str, text: str, facts: Mapping[str, Any], failed: list[str]) -> None:
-    """Leaves ``failed`` empty where the message was taken; errors are told by kind: their texts name addresses."""
+    """Send to one address; sets ``failed`` to the kind of an error only, since error texts contain addresses."""
     scheme, rest = address.partition(":")[::2]
     try:
         if scheme == "block":
@@ -135,12 +151,12 @@ def _send(address: str, text: str, facts: Mapping[str, Any], failed: list[str]) 
 
 
 class _NoRedirects(HTTPRedirectHandler):
-    """Whoever is posted to decides nothing about where else it goes."""
+    """Refuses redirects: a receiver must not choose other addresses."""
 
     def redirect_request(
         self, req: Request, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
     ) -> None:
-        """Never."""
+        """Refuse the redirect."""
 
 
 def _post(address: str, content: Mapping[str, Any]) -> None:
@@ -174,7 +190,7 @@ def _by_apprise(address: str, text: str) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The libraries' own lines hold addresses."""
+    """Silence the libraries' logging inside the block: it contains addresses."""
     loggers = [logging.getLogger(name) for name in ("apprise", "httpx", "httpcore", "urllib3", "requests")]
     levels = [one.level for one in loggers]
     for one in loggers:
@@ -197,5 +213,5 @@ def _text(folder: str, troubles: Sequence[ClipTrouble], counts: Mapping[str, Any
 
 
 def _for_slack(text: str) -> str:
-    """Names of clips must not call a channel, or lead anywhere."""
+    """Escape text for Slack: names of clips must not mention a channel, or become links."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

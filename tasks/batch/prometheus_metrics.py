@@ -1,8 +1,8 @@
-"""Figures for Prometheus: what is done, how long each step takes, what fails and why.
+"""Metrics for Prometheus: progress, duration of each step, failures and their reasons.
 
-Served where HFB_METRICS says (``9464``, or ``0.0.0.0:9464``), by the process that runs the flow; several on one machine
-take the ports that follow. Nothing is served otherwise. infra/observability holds a scrape configuration and a Grafana
-dashboard of them.
+Served at HFB_METRICS (``9464``, or ``0.0.0.0:9464``) by the process that runs the flow; further processes on one
+machine take the following ports. Nothing is served otherwise. infra/observability holds a scrape configuration and a
+Grafana dashboard.
 """
 
 from __future__ import annotations
@@ -35,9 +35,14 @@ _PATIENCE_S = 3.0
 
 
 class Metrics:
-    """Counts what tasks tell of their progress; a display that shows nothing."""
+    """A `Listener` that counts the progress of tasks."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
+        """Register the metrics.
+
+        Args:
+            registry: of Prometheus' client.
+        """
         from prometheus_client import Counter, Gauge, Histogram
 
         self._done = Counter("hfb_done", "frames, windows or cases that a step has done", ["step"], registry=registry)
@@ -52,11 +57,20 @@ class Metrics:
         self._lock = threading.Lock()
 
     def begin(self, shown: Shown) -> None:
+        """Start counting a step.
+
+        Args:
+            shown: the step.
+        """
         with self._lock:
             self._counted[shown] = 0
 
     def update(self, shown: Shown) -> None:
-        """Steps over many inputs count their inputs."""
+        """Count finished inputs of a step over many inputs.
+
+        Args:
+            shown: the step.
+        """
         if shown.total is None:
             return
         with self._lock:
@@ -66,6 +80,12 @@ class Metrics:
         self._left.labels(shown.label).set(shown.total - shown.done)
 
     def end(self, shown: Shown, failed: bool) -> None:
+        """Record duration and outcome of a step.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
         from hfb.tasks.workers.workers import busy_share
 
         with self._lock:
@@ -78,15 +98,21 @@ class Metrics:
             self._busy.set(share)
 
     def fail(self, step: str, reason: str) -> None:
+        """Count a failed input.
+
+        Args:
+            step: label of the step.
+            reason: kind of the failure.
+        """
         self._failed.labels(step, reason).inc()
 
 
 @contextmanager
 def serve_metrics() -> Iterator[None]:
-    """Serve figures while the block runs, if HFB_METRICS says where.
+    """Serve metrics inside the block where HFB_METRICS gives an address.
 
     Raises:
-        InputError: it says something else.
+        InputError: HFB_METRICS is no address.
     """
     place = os.environ.get(VARIABLE, "")
     if not place:
@@ -112,7 +138,7 @@ def serve_metrics() -> Iterator[None]:
 
 
 def _started(host: str, first: int, registry: CollectorRegistry) -> tuple[WSGIServer, threading.Thread] | None:
-    """The server, on the first free port; None, and a word, where there is none: no run ends for want of figures."""
+    """Start the server on the first free port; None, with a line for the user, where there is none."""
     from prometheus_client import start_http_server
 
     if not 0 < first < _PORTS_END - _NEIGHBOURS:
@@ -127,9 +153,10 @@ def _started(host: str, first: int, registry: CollectorRegistry) -> tuple[WSGISe
 
 
 class _Machine:
-    """Memory of the worker processes, and what GPUs do, looked up when somebody asks."""
+    """Memory of the worker processes and load of GPUs, read at every scrape."""
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
+        """Yield the metrics."""
         from prometheus_client.core import GaugeMetricFamily
 
         memory = GaugeMetricFamily("hfb_workers_memory_bytes", "memory of the worker processes of this machine")
@@ -152,7 +179,7 @@ def _resident_bytes(process: multiprocessing.process.BaseProcess) -> int:
 
 
 def _gpus() -> list[tuple[str, float, float]]:
-    """(number, share of the time in which it works, bytes taken) of every GPU; none where the driver is not there."""
+    """Return (number, utilisation, bytes in use) of every GPU; empty without a driver."""
     program = shutil.which("nvidia-smi")
     if program is None:
         return []

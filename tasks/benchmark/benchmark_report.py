@@ -1,4 +1,4 @@
-"""A benchmark as one page that opens anywhere, and ours beside the paper's numbers where that was asked for."""
+"""The report of a benchmark: its page, and the comparison with the paper's numbers for an experiment."""
 
 from __future__ import annotations
 
@@ -23,14 +23,20 @@ BESIDE, BESIDE_PLOT = "beside_paper.md", "ratio_beside_paper.png"
 
 
 class BesideHandle(FileHandle):
-    """The paper's table beside ours, as markdown; a plot of both where the paper has numbers for it."""
+    """The paper's table beside ours, as Markdown; with a plot where the paper has numbers for one."""
 
     plot: FileHandle | None = None
 
 
 @task("beside the paper")
 def write_beside(experiment: Experiment, results: ResultsHandle, folder: Path) -> BesideHandle:
-    """Set the paper's numbers beside ours."""
+    """Write the table and plot that compare our results with the paper's.
+
+    Args:
+        experiment: of the paper.
+        results: tables and plots.
+        folder: where the files go.
+    """
     from hfb.evaluation.experiments import beside_paper, papers_ratios
     from hfb.report.plots.benchmark_plots import ratio_by_blur
 
@@ -56,14 +62,14 @@ def draw_benchmark_page(
     methods: dict[str, Any],
     folder: Path,
 ) -> FileHandle:
-    """Everything that a benchmark leaves, in one file; see `hfb.report.pages.benchmark_page`.
+    """Write report.html of a benchmark; see `hfb.report.pages.benchmark_page`.
 
     Args:
-        judged: the answers.
+        judged: results per case and method.
         results: tables and plots.
-        gallery: some answers as images.
-        beside: the paper's numbers.
-        params: what decides the figures.
+        gallery: image of results from good to bad.
+        beside: comparison with the paper; None without an experiment.
+        params: the options that decide the figures.
         methods: every method's options.
         folder: where the page goes.
     """
@@ -86,7 +92,7 @@ def draw_benchmark_page(
 
 
 def _plots(results: ResultsHandle, beside: BesideHandle | None) -> list[Path]:
-    """Every plot; the one with the paper's numbers in the place of the one without."""
+    """Return all plots; the one with the paper's numbers replaces the one without."""
     plots = [one.path for one in results.plots]
     if beside is None or beside.plot is None:
         return plots
@@ -94,7 +100,7 @@ def _plots(results: ResultsHandle, beside: BesideHandle | None) -> list[Path]:
 
 
 def _made_from(params: Mapping[str, Any], methods: Mapping[str, Any]) -> dict[str, str]:
-    """Set, starts, mattes, methods, versions and machine, in words."""
+    """Describe set, starts, mattes, methods, versions and machine."""
     told = {name: value for name, value in flatten(params).items() if value not in ("None", "")}
     told |= {f"method {name}": json.dumps(options, sort_keys=True) for name, options in methods.items()}
     return {**told, "code": code_version(), **environment()}

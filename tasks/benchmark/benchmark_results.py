@@ -1,4 +1,4 @@
-"""From rows to what a benchmark leaves behind: cases, summary, the paper's table, plots, the record."""
+"""Results of a benchmark from its rows: cases, summary, the paper's table, plots, the record."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SHOWN_RANKS = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 class ResultsHandle(Record):
-    """The files of a benchmark, by the name they are published under, and the summary's content."""
+    """Files of a benchmark by the name they are published under, and the summary's content."""
 
     cases: FileHandle
     summary: FileHandle
@@ -31,11 +31,11 @@ class ResultsHandle(Record):
     plots: tuple[FileHandle, ...]
 
     def files(self) -> dict[str, Path]:
-        """Name -> file."""
+        """Return name -> file."""
         return {one.path.name: one.path for one in (self.cases, self.summary, self.table, *self.plots)}
 
     def content(self) -> dict[str, Any]:
-        """What summary.json says."""
+        """Return the content of summary.json."""
         return json.loads(self.summary.path.read_text())
 
 
@@ -55,14 +55,14 @@ def tabulate(
     """Gather the rows of all cases and methods.
 
     Args:
-        judged: the answers.
+        judged: results per case and method.
         set_name: the set, as on the command line.
         frames: blurred frames per case.
         methods: names, in their order.
-        count: how many cases there are.
+        count: number of cases.
         seed: of the set.
-        skipped: name -> reason, of what was left out.
-        notes: what a reader of the table has to know.
+        skipped: name -> reason, of cases left out.
+        notes: sentences below the table.
         folder: where the files go.
     """
     import pandas
@@ -85,9 +85,14 @@ def tabulate(
 
 @task("gallery")
 def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: Path) -> FileHandle:
-    """The better, the middle and the worse answers of the first method that draws pictures, one below the other.
+    """Draw good, median and bad results of the first method with images, stacked.
 
-    Shown are the cases at fixed ranks of fitted over initial error, so that nobody chooses what is seen.
+    The cases are at fixed ranks of fitted over initial error, so that the choice is not ours.
+
+    Args:
+        judged: results per case and method.
+        methods: names, in their order.
+        folder: where the image goes.
     """
     from hfb.io.media.images.image_io import read_picture_srgb, write_png
     from hfb.report.images.strip import captioned
@@ -116,14 +121,14 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
 def record_benchmark(
     *, name: str, params: dict[str, Any], methods: dict[str, Any], results: ResultsHandle, files: tuple[Path, ...]
 ) -> RunHandle:
-    """A parent run for the set, a child per method; metrics of the bins are steps, in the order of the blur rate.
+    """Record a parent run for the set and a child per method; metrics of blur intervals are steps, in their order.
 
     Args:
         name: of the run.
-        params: what decides the figures.
+        params: the options that decide the figures.
         methods: options of every method.
         results: tables and plots.
-        files: what the benchmark leaves.
+        files: of the benchmark.
 
     Raises:
         tracking.StoreLost: the store cannot be reached.
@@ -149,13 +154,13 @@ def record_benchmark(
 
 
 def _rank(row: Mapping[str, Any]) -> tuple[float, int]:
-    """Fitted over initial error; for a method without poses, how badly it covers the silhouette."""
+    """Return fitted over initial error, or for a method without poses the negative IoU, and the case's number."""
     if row.get("mpjpe_mm") is not None and row.get("initial_mpjpe_mm"):
         return row["mpjpe_mm"] / row["initial_mpjpe_mm"], row["case"]
     return -(row.get("iou") or 0.0), row["case"]
 
 
 def _metrics(prefix: str, cells: Sequence[Mapping[str, Any]]) -> dict[str, list[float | None]]:
-    """The numbers of some cells by name, a step per cell."""
+    """Return the numbers of some cells by name, a step per cell."""
     names = {name for cell in cells for name, value in cell.items() if isinstance(value, int | float)}
     return {f"{prefix}/{name}": [cell.get(name) for cell in cells] for name in sorted(names)}

@@ -1,4 +1,4 @@
-"""The cases of a set: made from motions or from real video, then looked at as a user's pictures would be."""
+"""The cases of a set: made from motions or from real video, then processed like a user's images."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ Spec = SetSpec | RealSpec
 
 
 class SourcesHandle(FileHandle):
-    """What a set can be made from.
+    """Motions or videos that a set can be made from.
 
     Attributes:
-        usable: numbers of the motions, or of the stretches of video, that cases are made from.
+        usable: numbers of the motions, or of the sections of video, that cases are made from.
         refused: name -> reason, for those that cannot be used.
     """
 
@@ -45,7 +45,7 @@ class CaseHandle(Record):
     files: tuple[FileHandle, ...]
 
     def open(self) -> Case:
-        """The case where its files lie now: in one folder, or one by one, as they come out of a shared store."""
+        """Return the case from its files' current places: in one folder, or one by one, as from a shared store."""
         folder = self.files[0].path.parent
         if any(file.path.parent != folder for file in self.files):
             folder = folder.parent / f"case-{digest(self)[:40]}"
@@ -57,7 +57,7 @@ class CaseHandle(Record):
 
 
 class ReadyHandle(Record):
-    """A case as every method sees it: the pictures, estimated mattes, and the static bodies all start from.
+    """Input of every method for a case: frames, estimated mattes, and the static bodies all start from.
 
     Attributes:
         initial: scores of the starts held still (a JSON file).
@@ -72,15 +72,15 @@ class ReadyHandle(Record):
 
 @task("motions")
 def find_sources(spec: Spec, listing: str, folder: Path) -> SourcesHandle:
-    """Open everything once: what is damaged is known, and named, before a case is drawn.
+    """Open every source once, so that damaged ones are known and named before a case is drawn.
 
     Args:
         spec: the set.
-        listing: what lies in the folders that the set is made from (`listing_of`); with other files this is done again.
+        listing: files in the folders that the set is made from (`listing_of`); a change repeats the search.
         folder: where the list goes.
 
     Raises:
-        InputError: nothing can be used; the sentence gives the first reasons.
+        InputError: no source can be used; the sentence gives the first reasons.
     """
     if isinstance(spec, RealSpec):
         from hfb.datasets.real.case_windows import real_windows
@@ -106,8 +106,8 @@ class MakeCall(Call):
     Attributes:
         spec: the set.
         number: of the case.
-        sources: what it can be made from.
-        networks: the pose networks at hand, where they make the truth of real video: with other ones it is made again.
+        sources: usable motions or videos.
+        networks: the pose networks that make the truth of real video; a change makes the case again.
         folder: of all cases; the case goes to ``case_0001`` and so on in it.
     """
 
@@ -119,14 +119,14 @@ class MakeCall(Call):
 
 
 class SeeCall(Call):
-    """A case to look at.
+    """A case to process.
 
     Attributes:
         case: its files.
-        start: where the static bodies come from.
+        start: origin of the static bodies.
         matting: options of the mattes.
         init: options of the static bodies.
-        networks: the pose networks at hand.
+        networks: the installed pose networks.
         body: the user's body model; None for the embedded one.
         folder: of all cases.
     """
@@ -143,6 +143,9 @@ class SeeCall(Call):
 @task("case", where="worker")
 def make_case(call: MakeCall) -> CaseHandle:
     """Make one case.
+
+    Args:
+        call: the case.
 
     Raises:
         InputError: this case cannot be made.
@@ -162,7 +165,10 @@ def make_case(call: MakeCall) -> CaseHandle:
 
 @task("mattes and starts", where="cluster")
 def see_case(call: SeeCall) -> ReadyHandle:
-    """Estimate the mattes, and the static bodies unless the simulated ones are asked for.
+    """Estimate the mattes, and the static bodies unless they are simulated.
+
+    Args:
+        call: the case.
 
     Raises:
         InputError: nothing differs from the background, or no person is found.
@@ -198,12 +204,20 @@ def see_case(call: SeeCall) -> ReadyHandle:
 
 
 def set_name(spec: Spec) -> SetName:
-    """The set, as on the command line."""
+    """Return the name of the set, as on the command line.
+
+    Args:
+        spec: the set.
+    """
     return spec.set
 
 
 def listing_of(*folders: Path | None) -> str:
-    """What lies in some folders, by name, size and time of change: hashing a large library would take minutes."""
+    """List folders by name, size and time of change of their files; hashing a large library would take minutes.
+
+    Args:
+        *folders: folders, or None.
+    """
     lines: list[str] = []
     for folder in folders:
         if folder is not None:

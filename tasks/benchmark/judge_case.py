@@ -1,4 +1,4 @@
-"""One method's answer to one case, and how good it is."""
+"""Run one method on one case and score it."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from hfb.tasks.task import Where, task
 
 
 class JudgedHandle(FileHandle):
-    """The row of one case and method (a JSON file), and what there is to look at.
+    """The row of one case and method (a JSON file), with motion and images.
 
     Attributes:
-        motion: the claimed motion; None for a method without poses.
-        alternatives: other directions in which it may have run; None for a method that names none.
-        look: what was seen, claimed and true, side by side.
+        motion: the estimated motion; None for a method without poses.
+        alternatives: motions of other directions; None for a method without them.
+        look: image of input, prediction and truth.
     """
 
     motion: FileHandle | None = None
@@ -35,10 +35,10 @@ class JudgeCall(Call):
     """A method and a case.
 
     Attributes:
-        ready: the case as every method sees it.
+        ready: the input of every method.
         method: the method.
         body: the user's body model; None for the embedded one.
-        folder: of all methods; the answer goes to ``NAME/case_0001`` and so on in it.
+        folder: of all methods; the result goes to ``NAME/case_0001`` and so on in it.
     """
 
     ready: ReadyHandle
@@ -55,7 +55,10 @@ def _needs(call: JudgeCall) -> Where:
 def judge_case(call: JudgeCall) -> JudgedHandle:
     """Run a method on a case and compare with the truth.
 
-    A method that cannot answer (a fit that diverges, a network that finds nobody) leaves a row that says why.
+    A method that fails (a fit that diverges, a network that finds nobody) leaves a row with the reason.
+
+    Args:
+        call: the method and the case.
     """
     from hfb.datasets.truth import load_truth_of
     from hfb.evaluation.baselines.build import make_method
@@ -104,13 +107,17 @@ def judge_case(call: JudgeCall) -> JudgedHandle:
 
 
 def source_of(case: Case) -> str:
-    """The recording that a case was made from."""
+    """Return the name of the recording that a case was made from.
+
+    Args:
+        case: the case.
+    """
     motion = case.facts.get("motion")
     return str(motion["name"] if isinstance(motion, dict) else case.facts.get("video", ""))
 
 
 def _sharp(case: Case) -> np.ndarray | None:
-    """The true sub-frames; a case of real video need not have them."""
+    """Return the true sub-frames; None for real video without them."""
     from hfb.datasets.synthetic.sharp import load_sharp
 
     if not all(path.exists() for path in case.sharp_paths()):

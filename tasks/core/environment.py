@@ -1,4 +1,4 @@
-"""What decides a result's last bits besides options and inputs: our own code, the libraries and the machine."""
+"""Everything besides options and inputs that decides a result's last bits: code, libraries and machine."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What travels between tasks: small frozen records that name finished files, never a tensor.
+"""Handles: small frozen records that tasks exchange; they name finished files and never hold a tensor.
 
-A handle holds a path, the sha256 of what stood there when it was made, and a few facts. It exists only for a
-finished file, and it can say whether that file is still the one it was made for.
+A handle holds a path, the sha256 of the file when it was made, and a few facts. It exists only for a finished file,
+and can check whether that file is unchanged.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ T = TypeVar("T")
 
 
 class StaleFile(Exception):
-    """A file that a handle names is gone, or no longer what it was."""
+    """A file that a handle names is missing or was changed."""
 
 
 Stamp = tuple[int, int, int, int, int]
 _read: dict[Path, tuple[Stamp, str]] = {}
-"""sha256 of the files that this process has read, and the stamp that each had then."""
+"""sha256 and stamp of the files that this process has read."""
 
 
 class Call(Record):
@@ -45,14 +45,19 @@ class FileHandle(Record):
 
     @classmethod
     def of(cls, path: Path, **facts: Any) -> Self:
-        """The handle of a file as it is now."""
+        """Return the handle of a file in its current state.
+
+        Args:
+            path: the file.
+            **facts: further fields of the handle.
+        """
         return cls(path=path.resolve(), sha256=sha256_of(path), **facts)
 
     def check(self) -> Stamp:
-        """Raises StaleFile as `verify`; a file that was not touched since this process read it is not read again.
+        """Verify the file, without reading it again if it was not touched since this process read it.
 
         Returns:
-            what would be another if it were touched.
+            a stamp that changes when the file is touched.
         """
         try:
             stamp = _stamp(self.path)
@@ -65,7 +70,7 @@ class FileHandle(Record):
         return stamp
 
     def verify(self) -> None:
-        """Raises StaleFile unless the file is still what it was."""
+        """Check the file's sha256."""
         try:
             actual = sha256_of(self.path)
         except OSError as error:
@@ -75,10 +80,10 @@ class FileHandle(Record):
 
 
 class ClipHandle(Record):
-    """Pictures of one static camera that fit together, and when and how they were taken.
+    """Frames of one static camera with their plate, and when and how they were taken.
 
     Attributes:
-        remarks: what a person should know about them, one sentence each.
+        remarks: sentences for the user.
     """
 
     frames: tuple[FileHandle, ...]
@@ -93,7 +98,11 @@ class ClipHandle(Record):
     remarks: tuple[str, ...] = ()
 
     def only(self, index: int) -> ClipHandle:
-        """Return one frame as a clip of its own."""
+        """Return one frame as a clip of its own.
+
+        Args:
+            index: of the frame.
+        """
         return self.model_copy(update={"frames": (self.frames[index],)})
 
 
@@ -101,7 +110,7 @@ class FirstBodyHandle(FileHandle):
     """The static body of one frame.
 
     Attributes:
-        doubt: of a search, see `hfb.tracking.clip_bodies.front_doubt`; 0 where it was not asked for.
+        doubt: of a search, see `hfb.initialization.fronts.front_doubts`; 0 where it was not computed.
     """
 
     source: str
@@ -109,21 +118,34 @@ class FirstBodyHandle(FileHandle):
 
 
 class PriorsHandle(Record):
-    """Which priors a fit uses: the user's files, or built-in ones."""
+    """The priors of a fit: the user's files, or built-in ones."""
 
     kind: Literal["anatomy", "mixture"]
     pose: FileHandle | None
     motion: FileHandle | None
 
 
-class FitHandle(Record):
-    """A fitted motion, its texture (arrays and a picture to look at) and the losses on the way.
+class FrontRecord(Record):
+    """Which way the person faces, where both ways were fitted.
 
     Attributes:
-        mattes: those that the fit's last stage was compared with, one per frame.
-        stage_seconds: wall time per stage of the schedule, in its order.
-        alternatives: the other directions in which it may have run, where they were searched.
+        probability: of the front that was kept.
+        mirrored: the first bodies were found facing the other way.
+    """
+
+    probability: float
+    mirrored: bool
+
+
+class FitHandle(Record):
+    """A fitted motion, its texture (arrays and an image) and the history of losses.
+
+    Attributes:
+        mattes: those that the fit's last stage used, one per frame.
+        alternatives: motions of other directions, where they were searched.
         directions: per frame P(direction right) of the body and its limbs (`hfb.fitting.alternatives`).
+        front: None where it was never in doubt.
+        stage_seconds: wall time per stage of the schedule, in its order.
     """
 
     motion: FileHandle
@@ -133,6 +155,7 @@ class FitHandle(Record):
     mattes: tuple[FileHandle, ...]
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
+    front: FrontRecord | None = None
     seconds: float
     stage_seconds: dict[str, float]
     best_iteration: int
@@ -140,7 +163,7 @@ class FitHandle(Record):
 
 
 class ScoresHandle(FileHandle):
-    """What the evaluation found, by name; ``initial_*`` is the first body held still."""
+    """Scores by name; ``initial_*`` belongs to the first body held still."""
 
     scores: dict[str, float]
 
@@ -150,11 +173,14 @@ _NO_CONTENT: dict[type[Record], tuple[str, ...]] = {
     FileHandle: ("path", "seconds"),
     FitHandle: ("seconds", "stage_seconds"),
 }
-"""Fields that say where something lies or how long it took, and so do not count in a digest."""
+"""Fields that say where a file lies or how long a step took; they do not count in a digest."""
 
 
 def sha256_of(path: Path) -> str:
-    """The sha256 of a file's content.
+    """Return the sha256 of a file's content.
+
+    Args:
+        path: the file.
 
     Raises:
         OSError: it cannot be read, or is a named pipe, a device or a socket.
@@ -169,17 +195,20 @@ def sha256_of(path: Path) -> str:
 
 
 def _stamp(path: Path) -> Stamp:
-    """Any write or replacement changes it: the time of the last change is the kernel's, nobody can set it."""
+    """Return what any write or replacement changes: only the kernel can set the time of the last change."""
     facts = path.stat()
     return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
 
 
 @contextmanager
 def verify_unchanged(*values: object) -> Iterator[None]:
-    """What is read inside is what the handles name, from the beginning to the end.
+    """Verify all files before and after the block.
+
+    Args:
+        *values: handles or sequences of handles.
 
     Raises:
-        StaleFile: a file is gone or no longer what it was, before the work or after it.
+        StaleFile: a file is missing or was changed, before the block or after it.
     """
     files = list(files_in(values))
     stamps = [file.check() for file in files]
@@ -190,7 +219,11 @@ def verify_unchanged(*values: object) -> Iterator[None]:
 
 
 def files_in(value: object) -> Iterator[FileHandle]:
-    """Every file that a handle, or a sequence of handles, names."""
+    """Yield every file that a handle, or a sequence of handles, names.
+
+    Args:
+        value: anything; other values have no files.
+    """
     if isinstance(value, FileHandle):
         yield value
     if isinstance(value, BaseModel):
@@ -202,7 +235,12 @@ def files_in(value: object) -> Iterator[FileHandle]:
 
 
 def with_files(value: T, change: Callable[[FileHandle], FileHandle]) -> T:
-    """The same handle, or sequence of handles, with every file that it names changed."""
+    """Return the same handle, or sequence of handles, with every file handle replaced.
+
+    Args:
+        value: anything; other values are returned as they are.
+        change: returns the new handle of a file.
+    """
     changed: Any = value
     if isinstance(value, BaseModel):
         parts = {name: getattr(value, name) for name in type(value).model_fields}
@@ -214,7 +252,11 @@ def with_files(value: T, change: Callable[[FileHandle], FileHandle]) -> T:
 
 
 def digest(value: object) -> str:
-    """sha256 of a value's content: where a file lies and how long a step took do not count."""
+    """Return the sha256 of a value's content; places of files and durations do not count.
+
+    Args:
+        value: handles, records or plain values.
+    """
     return hashlib.sha256(json.dumps(_content(value), sort_keys=True).encode()).hexdigest()
 
 

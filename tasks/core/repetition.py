@@ -1,7 +1,7 @@
-"""Whether the work at hand repeats a recorded run: then no earlier result is taken, and the record is one of its own.
+"""The current repetition of a recorded run: it reuses no earlier results, and has a record of its own.
 
-A repetition that is interrupted goes on from its own results, in the same folder; never from those of the run that it
-repeats. Light to import.
+A repetition that is interrupted continues from its own results, in the same folder; never from those of the run that
+it repeats. Light to import.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Repetition:
-    """A run that is made again.
+    """A repetition of a recorded run.
 
     Attributes:
         of: the recorded run.
@@ -31,7 +31,11 @@ _current: ContextVar[Repetition | None] = ContextVar("repetition", default=None)
 
 @contextmanager
 def repeat_run(repetition: Repetition) -> Iterator[None]:
-    """What is computed and recorded inside repeats a run; Prefect hands this on to the threads of its tasks."""
+    """Mark everything inside the block as a repetition; Prefect passes this on to the threads of its tasks.
+
+    Args:
+        repetition: the recorded run and the new folder.
+    """
     token = _current.set(repetition)
     try:
         yield
@@ -40,11 +44,11 @@ def repeat_run(repetition: Repetition) -> Iterator[None]:
 
 
 def current() -> Repetition | None:
-    """The repetition at hand."""
+    """Return the current repetition, or None."""
     return _current.get()
 
 
 def salt() -> str:
-    """What a key of a cache or a record takes in, so that only the same repetition finds it; empty in a first run."""
+    """Return what cache keys and record keys include so that only the same repetition matches; empty in a first run."""
     repetition = _current.get()
     return f"{repetition.of} in {repetition.out.resolve()}" if repetition else ""

@@ -1,7 +1,7 @@
-"""A result's folder as its readers see it: result.json, read safely, and whether the result is whole. Light to import.
+"""A result's folder as readers see it: result.json, read safely, and whether the result is complete. Light to import.
 
-From the moment that files of an earlier result are replaced until the last new one is there, result.json says
-``unfinished``. A run that is killed meanwhile leaves it so, and every reader says so.
+From the moment that files of an earlier result are replaced until the last new one is there, result.json holds
+``unfinished``. A killed run leaves it so, and every reader reports it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,11 @@ _HEAD_BYTES = 64
 
 
 def read_result_content(root: Path, *parts: str) -> dict[str, Any]:
-    """The content of result.json in a folder, or in one below it.
+    """Read result.json of a folder, or of one below it.
+
+    Args:
+        root: the folder.
+        *parts: names of folders below it.
 
     Raises:
         InputError: it is missing, damaged or no result's, or it, or a folder below ``root``, is a link or a special
@@ -35,7 +39,12 @@ def read_result_content(root: Path, *parts: str) -> dict[str, Any]:
 
 
 def is_unfinished(root: Path, *parts: str) -> bool:
-    """Return whether a result's files were being replaced when its command was stopped; only a few bytes are read."""
+    """Return whether a result's files were being replaced when its command was stopped; only a few bytes are read.
+
+    Args:
+        root: the folder.
+        *parts: names of folders below it.
+    """
     try:
         head = read_head(root, *parts, RESULT, size=_HEAD_BYTES)
     except (OSError, ValueError):  # NotOrdinary is a ValueError
@@ -44,12 +53,20 @@ def is_unfinished(root: Path, *parts: str) -> bool:
 
 
 def is_finished(folder: Path) -> bool:
-    """Return whether a whole result lies there."""
+    """Return whether a folder holds a complete result.
+
+    Args:
+        folder: of the result.
+    """
     return is_regular(folder / RESULT) and not is_unfinished(folder)
 
 
 def list_unfinished_files(folder: Path) -> set[str]:
-    """What a command left that was stopped while it put the files in place; nothing where none was."""
+    """Return the files of a command that was stopped while it put them in place; empty for any other folder.
+
+    Args:
+        folder: of the result.
+    """
     try:
         return {RESULT, *map(str, read_result_content(folder)["files"])} if is_unfinished(folder) else set()
     except (InputError, TypeError, KeyError):

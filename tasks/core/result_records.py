@@ -1,7 +1,7 @@
-"""Results of tasks in a folder of their own, and none read that is not exactly of our kind.
+"""Cached results of tasks in a folder of their own; records in any other format are not read.
 
-Prefect believes a record's own word on how it is to be read, pickle included: whoever hands over a result's folder
-could have code run by the next start in it. Ours are JSON of our own handles.
+Prefect lets a record choose how it is deserialised, pickle included: whoever hands over a result's folder could run
+code at the next start in it. Ours are JSON of our own handles.
 """
 
 from __future__ import annotations
@@ -31,7 +31,11 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def records_in(folder: Path) -> Iterator[None]:
-    """Results of tasks stay with the files that they name: no other folder takes them for its own."""
+    """Keep results of tasks beside the files that they name; no other folder reuses them.
+
+    Args:
+        folder: of the result's intermediate files.
+    """
     place = folder / "records"
     drop_foreign(place)
     with ExitStack() as stack:
@@ -43,9 +47,12 @@ def records_in(folder: Path) -> Iterator[None]:
 
 
 def drop_foreign(place: Path) -> int:
-    """Move every record that is not one of ours out of Prefect's sight; what it stood for is made again.
+    """Move every record that is not hfb's out of Prefect's reach; its result is computed again.
 
-    Moved and not removed: what hfb did not write is not hfb's to remove. Returns how many there were.
+    They are moved, not removed: hfb removes only what it wrote. Returns their number.
+
+    Args:
+        place: folder of the records.
 
     Raises:
         NotOrdinary: the folder of records, or a record, is a link or a special file.
@@ -75,7 +82,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def _only_handles(content: dict[str, Any]) -> dict[str, Any]:
-    """Raises ValueError for anything that Prefect would make into an object of somebody else's class."""
+    """Return the content; raise ValueError for anything that Prefect would deserialise into a foreign class."""
     kind = content.get("__class__")
     if "__exc_type__" in content or (kind is not None and not str(kind).startswith(_OURS)):
         raise ValueError("not a handle")

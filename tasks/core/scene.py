@@ -1,7 +1,7 @@
-"""From handles to what the method works on: images in linear light, mattes, camera, body and texture.
+"""From handles to the method's input: images in linear light, mattes, camera, body and texture.
 
-A chain's tasks need the same frames again and again. Each process keeps what it has decoded, by content, so that a
-frame is decoded and linearised once; what a task gets is a copy of its own.
+A chain's tasks need the same frames repeatedly. Each process caches decoded images by content, so that a frame is
+decoded and linearised once; a task gets its own copy.
 """
 
 import threading
@@ -30,10 +30,10 @@ _ALWAYS = 3  # frame, plate and matte of one photograph, however large
 
 
 class DecodedImages:
-    """The images that were used last, up to a number of bytes. Any thread may call."""
+    """A least-recently-used cache of images with a limit in bytes. Thread-safe."""
 
     def __init__(self, limit_bytes: int, always: int) -> None:
-        """Begin with no image.
+        """Begin empty.
 
         Args:
             limit_bytes: of all images together.
@@ -45,7 +45,7 @@ class DecodedImages:
         self._lock = threading.Lock()
 
     def get(self, key: tuple[str, ...], decode: Callable[[], Tensor]) -> Tensor:
-        """Return the image of a key, which is decoded unless it is kept. It must not be changed.
+        """Return the image of a key, decoded unless it is cached. It must not be changed.
 
         Args:
             key: content and light.
@@ -60,11 +60,11 @@ class DecodedImages:
         return image
 
     def put(self, key: tuple[str, ...], image: Tensor) -> None:
-        """Keep an image; those that were not used for longest go.
+        """Cache an image; the least recently used ones are dropped.
 
         Args:
             key: content and light.
-            image: the image.
+            image: (H, W, 3).
         """
         with self._lock:
             if key in self._images:
@@ -80,18 +80,18 @@ _kept = DecodedImages(_LIMIT_BYTES, _ALWAYS)
 
 
 def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Picture, Tensor]:
-    """Decode a user's image with all that its file says; `load_image` need not decode it again.
+    """Decode a user's image with its metadata; `load_image` then takes it from the cache.
 
     Args:
         file: the image.
         transfer: how it stores light.
-        light: in which blur is an average.
+        light: in which blur is averaged.
 
     Returns:
-        the image as stored, and in that light, which must not be changed.
+        the image as stored, and in that light; the latter must not be changed.
 
     Raises:
-        StaleFile: the file is not what its handle says, before or after.
+        StaleFile: the file does not match its handle, before or after.
         InputError: it cannot be decoded.
     """
     with verify_unchanged(file):
@@ -102,27 +102,31 @@ def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Pic
 
 
 def load_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
-    """Return an image (H, W, 3) in the light in which the clip's blur is an average.
+    """Return an image (H, W, 3) in the light in which the clip's blur is averaged.
 
     Args:
         picture: one of the clip's frames, or its background.
-        clip: how light is stored, and in which it is averaged.
+        clip: says how light is stored and averaged.
     """
     return _shared_image(picture, clip).clone()
 
 
 def load_mattes(mattes: Sequence[FileHandle]) -> Tensor:
-    """Return the person's share (T, H, W) of each pixel."""
+    """Return the person's share (T, H, W) of each pixel.
+
+    Args:
+        mattes: one per frame.
+    """
     return torch.stack([_shared_matte(matte) for matte in mattes])
 
 
 def in_light(picture: Array, transfer: Transfer, light: Light) -> Tensor:
-    """Return an image (H, W, 3) in the light in which blur is an average.
+    """Return an image (H, W, 3) in the light in which blur is averaged.
 
     Args:
-        picture: as it was stored.
-        transfer: how it was stored.
-        light: the light.
+        picture: as stored.
+        transfer: how it is stored.
+        light: in which blur is averaged.
     """
     stored = torch.from_numpy(as_srgb(picture, transfer))
     if transfer == light:
@@ -133,7 +137,11 @@ def in_light(picture: Array, transfer: Transfer, light: Light) -> Tensor:
 
 
 def load_camera(clip: ClipHandle) -> PinholeCamera:
-    """Return the clip's camera."""
+    """Return the clip's camera.
+
+    Args:
+        clip: with K [px].
+    """
     return PinholeCamera.from_matrix(torch.tensor(clip.K, dtype=torch.float64), clip.height, clip.width)
 
 
@@ -142,7 +150,7 @@ def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observat
 
     Args:
         clip: the frames.
-        mattes: of all its frames.
+        mattes: one per frame.
     """
     return Observation(
         frames_linear=torch.stack([_shared_image(frame, clip) for frame in clip.frames]),
@@ -156,12 +164,20 @@ def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observat
 
 
 def load_chosen_body(body: FileHandle | None) -> Body:
-    """Return the user's body model, or the embedded one."""
+    """Return the user's body model, or the embedded one.
+
+    Args:
+        body: the user's file, or None.
+    """
     return load_body(body.path if body else None)
 
 
 def load_texture(texture: FileHandle) -> Tensor:
-    """Return the fitted texture (A, A, 3), in the clip's light."""
+    """Return the fitted texture (A, A, 3) in the clip's light.
+
+    Args:
+        texture: an .npz with ``texture``.
+    """
     with np.load(texture.path, allow_pickle=False) as file:
         return torch.from_numpy(file["texture"])
 

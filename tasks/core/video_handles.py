@@ -1,4 +1,4 @@
-"""What travels between the tasks of a clip; see tasks/core/handles.py."""
+"""Handles that the tasks of a clip exchange; see `hfb.tasks.core.handles`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _Row = tuple[float, float, float]
 
 
 class FootageHandle(FileHandle):
-    """What there is to know about a clip without its pictures: footage and timing, as a JSON file.
+    """Everything known about a clip but its images: footage and timing, as a JSON file.
 
     Attributes:
         count: frames that can be decoded, after averaging.
-        bits: how its frames are stored as pictures.
-        remarks: what a person should know about it, one sentence each.
+        bits: of the images that its frames are stored as.
+        remarks: sentences for the user.
     """
 
     count: int
@@ -33,7 +33,12 @@ class FootageHandle(FileHandle):
     remarks: tuple[str, ...]
 
     def clip(self, frames: tuple[FileHandle, ...], background: FileHandle) -> ClipHandle:
-        """Some frames as a clip of their own."""
+        """Return some frames as a clip of their own.
+
+        Args:
+            frames: image files.
+            background: the plate.
+        """
         return ClipHandle(
             frames=frames,
             background=background,
@@ -47,30 +52,36 @@ class FootageHandle(FileHandle):
         )
 
     def still(self, frame: FileHandle, background: FileHandle, camera: bool = False) -> ClipHandle:
-        """One frame for steps that know no time, nor the camera unless they ask: they are not redone for another."""
+        """Return one frame without times, so that steps that use none keep their cached results when the times change.
+
+        Args:
+            frame: an image file.
+            background: the plate.
+            camera: whether to keep K; otherwise it is the identity.
+        """
         nowhere = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         alone = self.clip((frame,), background)
         return alone.model_copy(update={"exposure_s": 1.0, "interval_s": 1.0, **({} if camera else {"K": nowhere})})
 
 
 class FramesHandle(Record):
-    """Some of a clip's frames as pictures."""
+    """Some of a clip's frames as image files."""
 
     files: tuple[FileHandle, ...]
 
 
 class PlateHandle(FileHandle):
-    """The background, in the footage's own values; ``source`` says where it comes from."""
+    """The background in the footage's own values; ``source`` names its origin."""
 
     source: str
 
 
 class TrackHandle(Record):
-    """Where the person is in every frame.
+    """Position of the person in every frame.
 
     Attributes:
-        boxes: left, top, right, bottom [px]; None where the person is not seen.
-        others: how many more people are seen.
+        boxes: left, top, right, bottom [px]; None where the person is not visible.
+        others: number of further people.
     """
 
     name: str
@@ -79,7 +90,7 @@ class TrackHandle(Record):
 
 
 class PersonSeen(Record):
-    """One of several people: how to choose that one, and in how many frames they are seen."""
+    """One of several people: the option that selects them, and the number of frames in which they are visible."""
 
     name: str
     choice: PersonChoice
@@ -87,13 +98,13 @@ class PersonSeen(Record):
 
 
 class PeopleHandle(Record):
-    """Everyone in a clip, in the order of appearance."""
+    """All people of a clip, in the order of appearance."""
 
     people: tuple[PersonSeen, ...]
 
 
 class MatteHandle(Record):
-    """The person's share of each pixel of a frame; no file, but a reason, where nobody is seen.
+    """The person's share of each pixel of a frame; a reason instead of a file where no person is visible.
 
     Attributes:
         area_px: the matte's sum.
@@ -119,7 +130,7 @@ class FrameCall(Call):
 
 
 class SeenFrameCall(FrameCall):
-    """One frame in which the person is seen.
+    """One frame in which the person is visible.
 
     Attributes:
         matte: of the frame.
@@ -131,7 +142,7 @@ class SeenFrameCall(FrameCall):
 
 
 class BodyFound(Record):
-    """The first body of a frame; none, but a reason, where it was not found."""
+    """The first body of a frame; a reason instead where none was found."""
 
     first: FirstBodyHandle | None
     reason: str = ""
@@ -142,7 +153,7 @@ class ClipBodiesHandle(Record):
 
     Attributes:
         firsts: one per frame; None in a gap.
-        filled: frames whose body was made from their neighbours'.
+        filled: frames whose body was interpolated from their neighbours'.
         usable: frames that can be fitted.
     """
 
@@ -157,15 +168,17 @@ class WindowHandle(FileHandle):
     frames: tuple[int, ...]
     segment: int
     loss: float
+    mirrored: bool = False
+    front_log_odds: float = 0.0
 
 
 class JoinedHandle(Record):
     """The motion of the whole clip.
 
     Attributes:
-        edges: a JSON file of what happened at every window edge.
+        edges: a JSON file of the jumps at every window edge.
         gaps: first and last frame of every stretch without a pose.
-        bridged: frames without anybody whose poses were made from their neighbours'.
+        bridged: frames without a visible person whose poses were interpolated.
         worst_jump_mm: the largest at any edge; None without edges.
         worst_velocity_share: the largest at any edge; None without edges.
     """
@@ -180,7 +193,7 @@ class JoinedHandle(Record):
 
 
 class FrameScoresHandle(Record):
-    """How well the joined motion explains some frames, by name, in the order of ``frames``."""
+    """Scores of the joined motion by name, one value per frame in the order of ``frames``."""
 
     frames: tuple[int, ...]
     scores: dict[str, tuple[float, ...]]

@@ -1,4 +1,4 @@
-"""How good is it: against the picture always, against the truth where it is known."""
+"""Scores of a fit: against the frames always, against the truth where it is known."""
 
 import json
 from dataclasses import replace
@@ -32,8 +32,8 @@ def evaluate(
 
     Args:
         clip: all frames.
-        mattes: of all frames, from before the fit: the region of interest must not depend on what was fitted. All
-            else compares with the fit's own mattes.
+        mattes: of all frames, from before the fit: the region of interest must not depend on the fit. Everything else
+            uses the fit's own mattes.
         first_bodies: of all frames.
         fit: the motion, and the mattes it used last.
         body: the user's body model; None for the embedded one.

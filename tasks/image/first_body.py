@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from hfb.config import InitConfig
+from hfb.initialization.fronts import front_doubts
 from hfb.initialization.initializer import make_initializer
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
 from hfb.tasks.inputs.given_networks import with_pose_network
 from hfb.tasks.task import task
-from hfb.tracking.clip_bodies import front_doubt
 
 
 @task("first body")
@@ -23,7 +23,7 @@ def first_body(
     networks: tuple[FileHandle, ...],
     folder: Path,
 ) -> FirstBodyHandle:
-    """Estimate the body of one frame; of several, also how sure its front is, on which all are to agree.
+    """Estimate the body of one frame; of several frames, also the certainty of its front, which must be consistent.
 
     Args:
         clip: all frames.
@@ -31,7 +31,7 @@ def first_body(
         mattes: of all frames.
         body: the user's body model; None for the embedded one.
         config: options of the first body.
-        networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
+        networks: the installed pose networks, or METRO's; others give a new estimate.
         folder: where the body goes.
 
     Raises:
@@ -41,12 +41,16 @@ def first_body(
     found = make_initializer(with_pose_network(config, networks))(
         seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model
     )
-    doubt = front_doubt(seen, found, model) if len(clip.frames) > 1 else 0.0
+    doubt = float(front_doubts(seen, [found], model)[0]) if len(clip.frames) > 1 else 0.0
     path = folder / f"first_body_{index}.npz"
     save_first_body(path, found)
     return FirstBodyHandle.of(path, source=found.source, doubt=doubt)
 
 
 def given_body(file: FileHandle) -> FirstBodyHandle:
-    """A first body that the caller brought."""
+    """Return the handle of a first body that the caller provides.
+
+    Args:
+        file: the first body.
+    """
     return FirstBodyHandle(**file.model_dump(), source=load_first_body(file.path).source)

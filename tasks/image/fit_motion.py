@@ -6,13 +6,14 @@ from pathlib import Path
 from hfb.config import FitConfig
 from hfb.fitting.alternatives import direction_record, save_alternatives
 from hfb.fitting.fit import fit
+from hfb.initialization.fronts import find_other_front
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import write_matte, write_png
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_prior import load_motion_prior
-from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
 from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
@@ -39,19 +40,21 @@ def fit_motion(
         body: the user's body model; None for the embedded one.
         priors: of pose and motion.
         config: options of the fit.
-        seed: of everything that is random.
+        seed: of the random numbers.
         folder: where the files go.
     """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
+    firsts = [load_first_body(first.path) for first in first_bodies]
     result = fit(
         observation,
-        [load_first_body(first.path) for first in first_bodies],
+        firsts,
         model,
         config,
         seed,
         load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
         on_progress=progress.advance,
         motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
+        other_front=find_other_front(observation, firsts, model) if config.both_fronts else None,
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
     save_motion(paths[0], result.motion, model.betas_space)
@@ -69,6 +72,9 @@ def fit_motion(
         save_alternatives(folder / "alternatives.npz", result.alternatives, result.joint_features)
         alternatives = FileHandle.of(folder / "alternatives.npz")
         directions = tuple(direction_record(result.alternatives))
+    front = None
+    if result.front is not None:
+        front = FrontRecord(probability=round(result.front.probability, 4), mirrored=result.front.mirrored)
     return FitHandle(
         motion=motion,
         texture=texture,
@@ -77,6 +83,7 @@ def fit_motion(
         mattes=tuple(FileHandle.of(path) for path in mattes_used),
         alternatives=alternatives,
         directions=directions,
+        front=front,
         seconds=result.seconds,
         stage_seconds=result.stage_seconds,
         best_iteration=result.best_iteration,

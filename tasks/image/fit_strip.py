@@ -1,4 +1,4 @@
-"""The picture strip: input | matte | sub-frames | re-blurred | residual | novel view."""
+"""The image strip: input | matte | sub-frames | re-blurred | residual | novel view."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def strip(
     config: FitConfig,
     folder: Path,
 ) -> FileHandle:
-    """Draw what was seen and how the fit explains it.
+    """Draw the input and how the fit explains it.
 
     Args:
         clip: all frames.

@@ -1,4 +1,4 @@
-"""The user's pictures: are they pictures, do they fit together, and how were they taken."""
+"""Check and read the user's images: whether they fit together, and how they were taken."""
 
 import math
 from collections.abc import Callable
@@ -27,19 +27,19 @@ def prepare(
     camera: CameraConfig,
     exposure: ExposureConfig,
 ) -> ClipHandle:
-    """Check frames and plate against each other, and settle camera and clock.
+    """Check frames and plate against each other, and determine camera and times.
 
-    What an option says wins over clip.toml, which wins over a guess.
+    An option overrides clip.toml, which overrides a default.
 
     Args:
         frames: blurred images of one camera.
         background: the same view without the person.
-        clip: what clip.toml says.
+        clip: content of clip.toml.
         camera: options of the camera.
         exposure: options of the exposure.
 
     Raises:
-        InputError: a file is no picture, or its size is not the plate's.
+        InputError: a file is no image, or its size is not the plate's.
     """
     from hfb.io.media.plate import HOLDS_PERSON, seems_to_hold_person
     from hfb.matting.plate_check import find_plate_mismatch
@@ -92,7 +92,11 @@ class _Images:
         self._depths: list[tuple[Path, int | None]] = []
 
     def read(self, file: FileHandle) -> tuple[Float[Array, "H W 3"], Callable[[], Float[Array, "H W 3"]]]:
-        """Return an image encoded as sRGB (one of linear light as stored), and a function that returns its light."""
+        """Return an image encoded as sRGB (one of linear light as stored), and a function that returns its light.
+
+        Args:
+            file: the image.
+        """
         found, image = decode_once(file, self._transfer, self._light)
         self._told += found.remarks
         self._depths.append((file.path, found.seems_bits))
@@ -106,7 +110,7 @@ class _Images:
         return stored, linear
 
     def remarks(self) -> tuple[str, ...]:
-        """Raises InputError where all of them seem to be of fewer bits than their files are."""
+        """Return the remarks, after a check of the images' bit depths."""
         told = (*self._told, *doubt_depths(self._depths, self._transfer))
         return tuple(dict.fromkeys(told))
 
@@ -114,11 +118,11 @@ class _Images:
 def calibration(
     camera: CameraConfig, clip: Clip, height: int, width: int
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """K of the full picture [px]: an option wins over clip.toml, which wins over a guess.
+    """Return K of the full image [px]: an option overrides clip.toml, which overrides a default.
 
     Args:
         camera: options of the camera.
-        clip: what clip.toml says.
+        clip: content of clip.toml.
         height: of the image [px].
         width: of the image [px].
     """

@@ -1,4 +1,4 @@
-"""Where clips lie: a video, a folder of pictures, a clip.toml, or a folder that holds one of these. Light to import."""
+"""Locate clips: a video, a folder of images, a clip.toml, or a folder that holds one of these. Light to import."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hfb.tasks.core.result_folder import read_result_content
 from hfb.tasks.inputs.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS
 
 RESERVED = re.compile(r"batch\.json.*|summary(-\d+)?\.html.*|intermediate")
-"""What a folder of results holds beside the clips' own folders; letter cases are one on some disks."""
+"""Names in a folder of results besides the clips' own folders; some disks do not distinguish letter cases."""
 
 _PLATE_NAMES = ("background", "plate")
 _LEADS_OUT = "is a link that leads out of the folder of clips: put the file itself there"
@@ -30,12 +30,13 @@ class ClipPlace:
     """One clip of a folder of clips.
 
     Attributes:
-        source: what `hfb video` would be given.
-        clip: its clip.toml, where it has one.
-        files: everything that its result depends on, as far as the folder tells.
-        stray: an entry because of which the clip is not worked on, and why.
-        twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
-        trouble: why it cannot be looked at.
+        source: argument of `hfb video`.
+        clip: its clip.toml, if any.
+        files: everything that its result depends on, as far as the folder shows.
+        stray: an entry because of which the clip is refused.
+        why: why that entry is refused.
+        twin: the clip that owns the result folder of this name; this one's ``name`` is then no folder's.
+        trouble: why the clip cannot be read.
     """
 
     name: str
@@ -53,9 +54,9 @@ class ClipPlace:
         return shown_name(self.name)
 
     def check(self) -> None:
-        """Raises InputError where no folder can have this name, another clip has it, or files are not the folder's own.
+        """Check that the clip has a folder name of its own and reads no files outside the folder of clips.
 
-        Who may put clips into a folder may not see other files. What is watched and what is read are the same files.
+        Whoever may put clips into a folder may not read other files. The files watched and the files read are the same.
         """
         if self.trouble:
             raise InputError(f"{self.source} cannot be read ({self.trouble}): mend its permissions or its name")
@@ -72,14 +73,18 @@ class ClipPlace:
             raise InputError(f"{self.stray} {self.why}")
 
     def check_read(self, read: Iterable[FileHandle]) -> None:
-        """Raises TemporaryError where a file was read that is not watched, since the folder was changed meanwhile."""
+        """Raise TemporaryError if a file was read that is not watched, because the folder has changed meanwhile.
+
+        Args:
+            read: files of the clip's inputs.
+        """
         watched = {path.resolve() for path in self.files}
         if other := next((file.path for file in read if file.path not in watched), None):
             raise TemporaryError(f"{other} came to {self.source} while it was being read: it is looked at again")
 
 
 def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
-    """The clips of a folder, by name: ``NAME.mp4`` with ``NAME.toml``, and folders ``NAME/`` with a clip.toml.
+    """Return the clips of a folder, by name: ``NAME.mp4`` with ``NAME.toml``, and folders ``NAME/`` with a clip.toml.
 
     Args:
         folder: of the clips.
@@ -104,7 +109,7 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
 
 
 def _clip_at(path: Path) -> ClipPlace | None:
-    """The clip that a file or a folder in a folder of clips is."""
+    """Return the clip at a file or folder in a folder of clips; None where there is none."""
     if path.suffix.lower() in VIDEOS and path.exists() and not path.is_dir():
         sidecar = path.with_suffix(".toml")
         name, clip = path.stem, sidecar if _exists(sidecar) else None
@@ -128,7 +133,7 @@ def _clip_at(path: Path) -> ClipPlace | None:
 
 
 def _first_stray(ground: Path, files: Sequence[Path]) -> tuple[Path, str] | None:
-    """The first entry of a clip that is not taken, and why: what is read has to be what is watched."""
+    """Return the first refused entry of a clip, and why: the files read must be the files watched."""
     inside, own = ground.resolve(), {ground}  # folders that are no links
     for path in files:
         if path.parent not in own:
@@ -153,7 +158,7 @@ def _first_stray(ground: Path, files: Sequence[Path]) -> tuple[Path, str] | None
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """What is the same under every name of a folder."""
+    """Return device and inode, which are the same under every name of a folder."""
     try:
         facts = path.stat()
     except OSError:
@@ -162,7 +167,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def _exists(path: Path) -> bool:
-    """Whether a file is there; none has a name that is too long, as NAME.toml may be where NAME.ts is not."""
+    """Return whether a file exists; a name that is too long, as NAME.toml may be where NAME.ts is not, does not."""
     try:
         return path.exists()
     except OSError as error:
@@ -172,7 +177,7 @@ def _exists(path: Path) -> bool:
 
 
 def _named_or_beside(source: Path, clip: Path | None) -> Iterator[Path]:
-    """What decides a clip's result besides the clip: the files that its clip.toml names, and its plate."""
+    """Yield what decides a clip's result besides the clip: the files that its clip.toml names, and its plate."""
     try:
         known = read_clip(clip) if clip else Clip()
         plate = plate_beside(resolve_source(source, clip)[0]) if known.background is None else None
@@ -184,9 +189,9 @@ def _named_or_beside(source: Path, clip: Path | None) -> Iterator[Path]:
 
 
 def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
-    """Clips of one name: one keeps it, and with it the folder of its result; the others get names that no folder has.
+    """Resolve clips of one name: one keeps the name and thus the result's folder; the others get impossible names.
 
-    A result that is there already stays its clip's, whatever comes to lie beside that; else the first one's it is.
+    An existing result stays its clip's, whatever is added beside that clip; otherwise the first clip gets the name.
     """
     if len(same) == 1:  # nothing to tell, nothing to read
         yield same[0]
@@ -197,7 +202,7 @@ def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
 
 
 def _made_of(result: Path, source: Path) -> bool:
-    """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
+    """Return whether a folder holds a video's result; unknown for a folder of images, which would have to be hashed."""
     try:
         sha256 = read_result_content(result.parent, result.name)["inputs"]["video"]
         FileHandle(path=source, sha256=sha256).check()
@@ -207,11 +212,11 @@ def _made_of(result: Path, source: Path) -> bool:
 
 
 def resolve_source(source: Path, clip: Path | None) -> tuple[tuple[Path, ...], Path | None]:
-    """The files of a clip's pictures, in order, and its clip.toml.
+    """Return the files of a clip's images, in order, and its clip.toml.
 
     Args:
-        source: a video, a folder of pictures, a clip.toml that names its video, or a folder that holds a clip.toml.
-        clip: a clip.toml that the user names; it wins over one that is found.
+        source: a video, a folder of images, a clip.toml that names its video, or a folder that holds a clip.toml.
+        clip: a clip.toml that the user names; it overrides one that is found.
 
     Raises:
         InputError: nothing is there, or it is not clear which of several is meant.
@@ -228,10 +233,13 @@ def resolve_source(source: Path, clip: Path | None) -> tuple[tuple[Path, ...], P
 
 
 def plate_beside(files: Sequence[Path]) -> Path | None:
-    """The background that lies with a clip as a picture, in small or capital letters.
+    """Return the background image that belongs to a clip by its name, in any letter case.
 
-    NAME_plate, background or plate beside the video NAME; background or plate in the folder of pictures, another that
-    is a plate by its name there, or background or plate one folder up.
+    NAME_plate, background or plate beside the video NAME; background or plate in the folder of images, another image
+    named like a plate there, or background or plate one folder up.
+
+    Args:
+        files: the video, or the images.
     """
     first = files[0]
     if first.suffix.lower() not in PICTURE_SUFFIXES:
@@ -244,7 +252,7 @@ def plate_beside(files: Sequence[Path]) -> Path | None:
 
 
 def _picture_called(names: Sequence[str], folder: Path) -> Path | None:
-    """The first of these names that a picture has; the very spelling goes before other letter cases."""
+    """Return the first of these names that an image has; the exact spelling precedes other letter cases."""
     pictures = pictures_in(folder)
     for name in names:
         found = [path for path in pictures if path.stem.lower() == name.lower()]
@@ -263,7 +271,7 @@ def _named_video(clip: Path) -> tuple[Path, ...] | None:
 
 
 def _inside(folder: Path) -> tuple[Path, ...]:
-    """The one video of a folder, or its pictures in their natural order (those of ``frames/`` where there is one)."""
+    """Return the one video of a folder, or its images in natural order (those of ``frames/`` where there is one)."""
     videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS and not is_hidden(path))
     if len(videos) == 1:
         return (videos[0],)

@@ -1,4 +1,4 @@
-"""A user's own networks and results: taken by content beside the configuration, used from where they lie now."""
+"""The user's own networks and results: identified by content, read from their current place."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ _OWN_MATTING = ("bgmv2", "rvm")
 
 
 def matting_file(config: RunConfig) -> Path | None:
-    """The matting network's file, where the method needs one.
+    """Return the matting network's file, where the method needs one.
+
+    Args:
+        config: all options.
 
     Raises:
-        InputError: it needs one and none is given, one is given that it does not need, or what is given is no network.
+        InputError: the method needs one and none is given, a needless one is given, or the file is no network.
     """
     own = config.matting.method in _OWN_MATTING
     if own != (config.matting.weights is not None):
@@ -36,10 +39,13 @@ def matting_file(config: RunConfig) -> Path | None:
 
 
 def init_files(config: RunConfig) -> tuple[Path, ...]:
-    """The other system's result and what belongs to it, or METRO's network; nothing for other methods.
+    """Return the other system's result and the files that belong to it, or METRO's network; empty for other methods.
+
+    Args:
+        config: all options.
 
     Raises:
-        InputError: the method needs a file and none is given, or one is given that it does not need.
+        InputError: the method needs a file and none is given, or a needless one is given.
     """
     init = config.init
     if (init.method == "metro") != (init.weights is not None):
@@ -64,12 +70,22 @@ def init_files(config: RunConfig) -> tuple[Path, ...]:
 
 
 def with_matting_network(config: MattingConfig, file: FileHandle | None) -> MattingConfig:
-    """The options with the network's file where it lies now."""
+    """Return the options with the current place of the network's file.
+
+    Args:
+        config: options of the mattes.
+        file: the network; None for methods without one.
+    """
     return config if file is None else config.model_copy(update={"weights": file.path})
 
 
 def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> InitConfig:
-    """The options with METRO's files where they lie now."""
+    """Return the options with the current places of METRO's files.
+
+    Args:
+        config: options of the first bodies.
+        networks: METRO's files.
+    """
     if config.method != "metro":
         return config
     sampling = networks[1].path if config.mesh_sampling is not None else None
@@ -77,7 +93,11 @@ def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> I
 
 
 def tell_networks(networks: tuple[FileHandle, ...]) -> None:
-    """A word where first bodies are found with the lesser landmark network."""
+    """Print a line where first bodies come from the smaller landmark network.
+
+    Args:
+        networks: the pose networks in use.
+    """
     if any(file.path.name == LANDMARK_FULL.name for file in networks):
         progress.say(
             "hfb: MediaPipe's full landmark network is used: `hfb models fetch` brings the heavy one, which is better"
@@ -85,10 +105,14 @@ def tell_networks(networks: tuple[FileHandle, ...]) -> None:
 
 
 def check_networks(config: InitConfig, networks: tuple[FileHandle, ...]) -> None:
-    """Whoever computes has the same pose networks as who asked: without them the first body would be another.
+    """Check that this machine has the pose networks of the calling one: others give other first bodies.
+
+    Args:
+        config: options of the first bodies.
+        networks: those of the calling machine.
 
     Raises:
-        InputError: they are missing here, or others.
+        InputError: they are missing here, or differ.
     """
     if config.method not in ("auto", "mediapipe"):
         return

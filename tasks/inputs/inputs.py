@@ -1,4 +1,4 @@
-"""What a user hands over, taken by content before anything is computed. Light to import."""
+"""The user's inputs, identified by content before anything is computed. Light to import."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from hfb.tasks.inputs.given_networks import init_files, matting_file
 from hfb.tasks.inputs.out_place import check_pictures_out
 
 _OF_VIDEOS = ("video", "scan", "start", "stop", "start_s", "stop_s", "background", "person")
-"""Entries of clip.toml that say nothing about single pictures, whose plate is given."""
+"""Entries of clip.toml without effect on single images, whose plate is given."""
 
 _ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network", "init_files": "init_file"}
 
 
 class Inputs(Record):
-    """Everything a user hands over, as it was when the run began."""
+    """All inputs of a user, as they were when the run began."""
 
     frames: tuple[FileHandle, ...]
     background: FileHandle
@@ -37,10 +37,13 @@ class Inputs(Record):
 
 
 def input_file(path: Path) -> FileHandle:
-    """The handle of a user's file.
+    """Return the handle of a user's file.
+
+    Args:
+        path: the file.
 
     Raises:
-        InputError: it is not there, cannot be read, or has a name that servers and records cannot hold.
+        InputError: it is missing, cannot be read, or has a name that servers and records cannot hold.
     """
     if "\0" in str(path):
         raise InputError(f"{str(path)!r} is no name of a file")
@@ -67,7 +70,7 @@ def take_inputs(
     first_bodies: list[Path] | None = None,
     out: Path | None = None,
 ) -> Inputs:
-    """Everything the user names, hashed.
+    """Hash all inputs that the user names.
 
     Args:
         frames: blurred images, in their order.
@@ -75,12 +78,11 @@ def take_inputs(
         config: all options.
         clip: a clip.toml.
         truth: of a synthetic case.
-        first_bodies: one file per frame, instead of estimating them.
-        out: where results go, to be checked.
+        first_bodies: one file per frame, instead of estimates.
+        out: where results go; it is checked.
 
     Raises:
-        InputError: a file is missing, cannot be read, clip.toml is wrong, or results in ``out`` would be taken for
-            frames.
+        InputError: a file is missing or unreadable, clip.toml is wrong, or results in ``out`` would be read as frames.
     """
     if out is not None:
         check_pictures_out(frames, out)
@@ -103,7 +105,12 @@ def take_inputs(
 
 
 def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
-    """What the user did not say about the recording and what is assumed instead, and what is said in vain."""
+    """Return sentences on assumptions about the recording, and on entries of clip.toml without effect.
+
+    Args:
+        inputs: of the run.
+        config: all options.
+    """
     clip, remarks = inputs.clip, []
     if config.camera.focal_px is None and clip.camera == ClipCamera():
         remarks.append(
@@ -121,7 +128,12 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
 
 
 def with_height(config: RunConfig, clip: Clip) -> RunConfig:
-    """The options, with the person's height from clip.toml where no option says it."""
+    """Return the options with the person's height from clip.toml where no option gives it.
+
+    Args:
+        config: all options.
+        clip: content of clip.toml.
+    """
     if config.fit.height_m is not None or clip.person.height_m is None:
         return config
     fit = config.fit.model_copy(update={"height_m": clip.person.height_m})
@@ -129,11 +141,11 @@ def with_height(config: RunConfig, clip: Clip) -> RunConfig:
 
 
 def find_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:
-    """How long the shutter was open [s]: an option wins over clip.toml; None where neither says.
+    """Return the exposure [s]: an option overrides clip.toml; None where neither gives it.
 
     Args:
-        picture: where clip.toml says ``auto``, its own record counts.
-        exposure: what clip.toml says.
+        picture: whose metadata count where clip.toml says ``auto``.
+        exposure: as in clip.toml.
         config: options of the exposure.
         interval_s: between frames.
     """
@@ -147,10 +159,10 @@ def find_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfi
 
 
 def _clip_of_pictures(path: Path, picture: Path) -> Clip:
-    """clip.toml with the numbers of its calibration file in the file's place.
+    """Read clip.toml and replace its calibration file by the file's numbers.
 
     Raises:
-        InputError: clip.toml or the calibration is wrong, or the lens distorts: single pictures are taken as they are.
+        InputError: clip.toml or the calibration is wrong, or the lens distorts: single images are taken as they are.
     """
     clip = read_clip(path)
     if clip.camera.calibration is None:
@@ -169,12 +181,19 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
 
 
 def optional_file(path: Path | None) -> FileHandle | None:
-    """The handle of a file that need not be given."""
+    """Return the handle of a file, or None.
+
+    Args:
+        path: the file, or None.
+    """
     return None if path is None else input_file(path)
 
 
 def pose_networks(config: RunConfig) -> tuple[FileHandle, ...]:
-    """The networks that the first bodies depend on.
+    """Return the networks that the first bodies depend on.
+
+    Args:
+        config: all options.
 
     Raises:
         InputError: a file that the method needs is missing.
@@ -185,7 +204,10 @@ def pose_networks(config: RunConfig) -> tuple[FileHandle, ...]:
 
 
 def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
-    """The other system's result that the first bodies are taken from, and what belongs to it.
+    """Return the files of the other system's result that the first bodies are taken from.
+
+    Args:
+        config: all options.
 
     Raises:
         InputError: a file is missing.
@@ -195,7 +217,10 @@ def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
 
 
 def networks_at_hand(choice: LandmarkChoice = "auto") -> tuple[FileHandle, ...]:
-    """The pose networks that first bodies are found with: with other ones they are estimated again.
+    """Return the installed pose networks: with others, first bodies are estimated again.
+
+    Args:
+        choice: which landmark network.
 
     Raises:
         InputError: as `networks_in_use`.
@@ -204,7 +229,11 @@ def networks_at_hand(choice: LandmarkChoice = "auto") -> tuple[FileHandle, ...]:
 
 
 def input_files(inputs: Record) -> dict[str, FileHandle]:
-    """What a command was given, file by file: ``frame_0``, ``background``, ..."""
+    """Return the inputs by role: ``frame_0``, ``background``, ...
+
+    Args:
+        inputs: of the run.
+    """
     files: dict[str, FileHandle] = {}
     for role in type(inputs).model_fields:
         given = getattr(inputs, role)
@@ -215,5 +244,9 @@ def input_files(inputs: Record) -> dict[str, FileHandle]:
 
 
 def input_hashes(inputs: Record) -> dict[str, str]:
-    """sha256 per role: ``frame_0``, ``background``, ..."""
+    """Return the sha256 of every input by role: ``frame_0``, ``background``, ...
+
+    Args:
+        inputs: of the run.
+    """
     return {role: file.sha256 for role, file in input_files(inputs).items()}

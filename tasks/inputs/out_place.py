@@ -1,4 +1,4 @@
-"""Whether results may go into a folder: not where they would be taken for frames, clips or motions. Light to import."""
+"""Check where results go: not where they would be read as frames, clips or motions. Light to import."""
 
 from __future__ import annotations
 
@@ -32,7 +32,12 @@ _OF_A_RESULT = re.compile(r"strip|texture|matte_\d+|comparison")
 
 
 def same_place(one: Path, other: Path) -> bool:
-    """Return whether two names mean the same folder, however they are spelled, linked or mounted."""
+    """Return whether two names mean the same folder, however they are spelled, linked or mounted.
+
+    Args:
+        one: a path; it need not exist.
+        other: a path; it need not exist.
+    """
     try:
         return one.resolve() == other.resolve() or (one.exists() and other.exists() and one.samefile(other))
     except (OSError, RuntimeError):  # links in a circle
@@ -40,7 +45,12 @@ def same_place(one: Path, other: Path) -> bool:
 
 
 def lies_in(path: Path, folder: Path) -> bool:
-    """Return whether a path is a folder or lies below it; it need not exist."""
+    """Return whether a path is a folder or lies below it; it need not exist.
+
+    Args:
+        path: the path.
+        folder: the folder.
+    """
     try:
         whole = path.resolve()
     except (OSError, RuntimeError):
@@ -49,7 +59,11 @@ def lies_in(path: Path, folder: Path) -> bool:
 
 
 def check_no_clip(out: Path) -> None:
-    """Raises InputError where ``out`` is the folder of a clip or of its frames: results would be read as frames."""
+    """Raise InputError if ``out`` is the folder of a clip or of its frames: results would be read as frames.
+
+    Args:
+        out: where results go.
+    """
     home = out.resolve().parent if out.resolve().name == FRAMES_FOLDER else out
     if (home / CLIP_FILE).exists() or (out / CLIP_FILE).exists():
         raise _refusal(out, f"the folder of a clip ({CLIP_FILE} lies there)", out)
@@ -59,12 +73,12 @@ def check_clip_out(source: Path, files: Sequence[Path], out: Path) -> None:
     """Check where the results of a clip go.
 
     Args:
-        source: what the user named: a video, a folder of pictures or with a clip.toml, or a clip.toml.
-        files: the video, or the pictures.
+        source: as the user named it: a video, a folder of images or with a clip.toml, or a clip.toml.
+        files: the video, or the images.
         out: where results go.
 
     Raises:
-        InputError: the next run would take results for frames, or for the video.
+        InputError: the next run would read results as frames, or as the video.
     """
     check_no_clip(out)
     home = files[0].parent
@@ -80,7 +94,12 @@ def check_clip_out(source: Path, files: Sequence[Path], out: Path) -> None:
 
 
 def check_pictures_out(frames: Sequence[Path], out: Path) -> None:
-    """Raises InputError where results of single pictures would lie among the frames of a clip."""
+    """Raise InputError if results of single images would lie among the frames of a clip.
+
+    Args:
+        frames: blurred images.
+        out: where results go.
+    """
     check_no_clip(out)
     if not any(same_place(out, frame.parent) for frame in frames):
         return
@@ -90,7 +109,12 @@ def check_pictures_out(frames: Sequence[Path], out: Path) -> None:
 
 
 def check_batch_out(folder: Path, out: Path) -> None:
-    """Raises InputError where results of a folder of clips would change these clips, or be taken for some."""
+    """Raise InputError if results of a folder of clips would change these clips, or be read as clips.
+
+    Args:
+        folder: of the clips.
+        out: where results go.
+    """
     check_not_clips(folder, out)
     for clip in folder.iterdir() if folder.is_dir() else ():
         if clip.is_dir() and (clip / CLIP_FILE).exists() and lies_in(out, clip):
@@ -98,13 +122,23 @@ def check_batch_out(folder: Path, out: Path) -> None:
 
 
 def check_not_clips(folder: Path, out: Path) -> None:
-    """Raises InputError where results would lie in the folder of clips itself."""
+    """Raise InputError if results would lie in the folder of clips itself.
+
+    Args:
+        folder: of the clips.
+        out: where results go.
+    """
     if same_place(folder, out):
         raise _refusal(out, "the folder of clips itself", folder)
 
 
 def check_sources_out(sources: Iterable[Path | None], out: Path) -> None:
-    """Raises InputError where results would lie in a folder that is searched for motions, pictures or videos."""
+    """Raise InputError if results would lie in a folder that is searched for motions, images or videos.
+
+    Args:
+        sources: such folders; None is ignored.
+        out: where results go.
+    """
     for source in sources:
         if source is None or not source.is_dir():
             continue
@@ -116,7 +150,11 @@ def check_sources_out(sources: Iterable[Path | None], out: Path) -> None:
 
 
 def default_out(source: Path) -> Path:
-    """A folder in ``runs`` named after what is worked on, and not that itself."""
+    """Return a folder in ``runs`` named after the source, and different from it.
+
+    Args:
+        source: a file or a folder.
+    """
     out = Path("runs") / source.resolve().stem
     place = source if source.is_dir() else source.parent
     return out.with_name(f"{out.name}-result") if same_place(place, out) else out

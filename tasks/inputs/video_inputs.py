@@ -1,4 +1,4 @@
-"""What a user hands over with a clip, taken by content before anything is computed. Light to import."""
+"""The user's inputs of a clip, identified by content before anything is computed. Light to import."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _FOUND: tuple[Literal["median"], Literal["still"]] = ("median", "still")
 
 
 class VideoInputs(Record):
-    """Everything a user hands over, as it was when the run began.
+    """All inputs of a user, as they were when the run began.
 
     Attributes:
-        video: one file, or the pictures of a folder in their order.
-        plate: where the background comes from; ``"file"`` is ``background``.
-        clip: what clip.toml says; the files that it names are handles of their own.
+        video: one file, or the images of a folder in their order.
+        plate: origin of the background; ``"file"`` is ``background``.
+        clip: content of clip.toml; the files that it names are handles of their own.
     """
 
     video: tuple[FileHandle, ...]
@@ -52,20 +52,21 @@ def take_video_inputs(
     everyone: bool = False,
     out: Path | None = None,
 ) -> VideoInputs:
-    """Everything the user names, hashed.
+    """Hash all inputs that the user names.
 
     Args:
         source: see `hfb.tasks.inputs.clip_places.resolve_source`.
         config: all options.
-        clip: a clip.toml that wins over one that is found.
-        background: a file, ``"median"`` or ``"still"``; wins over clip.toml, which wins over a plate beside the clip.
-        truth: a motion file of what really happened.
-        everyone: whatever clip.toml says of the person, all who are seen (or are in its file of tracks).
-        out: where results go, to be checked.
+        clip: a clip.toml that overrides one that is found.
+        background: a file, ``"median"`` or ``"still"``; overrides clip.toml, which overrides a plate beside the clip.
+        truth: a motion file.
+        everyone: whether to fit all visible people (or all in the file of tracks), whatever clip.toml says of the
+            person.
+        out: where results go; it is checked.
 
     Raises:
         InputError: a file is missing or cannot be read, clip.toml is wrong, it is not clear which video is meant, or
-            results in ``out`` would be taken for frames.
+            results in ``out`` would be read as frames.
     """
     check_formats(config.export.formats)
     files, clip_path = resolve_source(source, clip)
@@ -107,7 +108,11 @@ def take_video_inputs(
 
 
 def check_options(config: RunConfig) -> None:
-    """Raises InputError where a file that the options name cannot be used: no clip can mend that."""
+    """Raise InputError if a file that the options name cannot be used: this concerns every clip.
+
+    Args:
+        config: all options.
+    """
     check_formats(config.export.formats)
     for path in (config.body.model, config.prior.pose, config.prior.motion, matting_file(config)):
         optional_file(path)
@@ -116,14 +121,18 @@ def check_options(config: RunConfig) -> None:
 
 
 def video_hashes(inputs: VideoInputs) -> dict[str, str]:
-    """sha256 per role; a folder's pictures, which may be thousands, count as one."""
+    """Return the sha256 by role; the images of a folder, possibly thousands, count as one.
+
+    Args:
+        inputs: of the run.
+    """
     hashes = {role: file.sha256 for role, file in input_files(inputs).items() if not role.startswith("video_")}
     video = inputs.video
     return {"video": video[0].sha256 if len(video) == 1 else digest(video), **hashes}
 
 
 def _plate(told: str | None, files: tuple[Path, ...]) -> tuple[Literal["file", "median", "still"], FileHandle | None]:
-    """Where the background comes from."""
+    """Return the origin of the background, and its file."""
     for how in _FOUND:
         if told == how:
             return how, None

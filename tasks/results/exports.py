@@ -1,4 +1,4 @@
-"""The files of a result for other programs and for people: motion files, and films of the open shutter."""
+"""A result's files for other programs and for people: motion files and films."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ExportsHandle(Record):
 
 
 class ShotHandle(Record):
-    """Everything that films of a result are drawn from.
+    """Everything that films of a result are rendered from.
 
     Attributes:
         clip: all frames of the clip: the motion names them by their numbers.
@@ -79,7 +79,7 @@ class ShotHandle(Record):
 def write_motion_files(
     *, motion: FileHandle, texture: FileHandle | None, body: FileHandle | None, config: ExportConfig, folder: Path
 ) -> ExportsHandle:
-    """Write the asked-for formats (`hfb.interop.writers`); one that cannot hold the motion is left out.
+    """Write motion files (`hfb.interop.writers`); a format that cannot hold the motion is left out.
 
     Args:
         motion: the motion.
@@ -110,10 +110,10 @@ def write_motion_files(
 
 
 def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, folder: Path) -> ExportsHandle:
-    """Write the formats and films that the options ask for, and tell which formats are left out.
+    """Write the formats and films of the options, and print which formats are left out.
 
     Args:
-        shot: what films are drawn from.
+        shot: motion, body, plate and frames.
         texture: the person's texture as an image.
         config: which formats and films.
         folder: where the files go.
@@ -131,7 +131,7 @@ def draw_films(shot: ShotHandle, films: tuple[Film, ...], folder: Path) -> Expor
     """Draw films; see `hfb.report.films.slow_motion`.
 
     Args:
-        shot: what they are drawn from.
+        shot: motion, body, plate and frames.
         films: which.
         folder: where they go.
     """
@@ -144,7 +144,7 @@ def write_film(film: Film, shot: Shot, folder: Path) -> Path:
 
     Args:
         film: which.
-        shot: what it is drawn from.
+        shot: motion, body, plate and frames.
         folder: where it goes.
     """
     from hfb.io.media.video.video_writing import VideoWriter
@@ -167,12 +167,12 @@ def write_film(film: Film, shot: Shot, folder: Path) -> Path:
 def with_progress(
     label: str, images: Iterator[tuple[float | None, Float[Array, "Y X 3"]]], total: int
 ) -> Iterator[tuple[float | None, Float[Array, "Y X 3"]]]:
-    """Yield the (time, image) pairs of a film, and tell how far it is now and then.
+    """Yield the (time, image) pairs of a film, and report progress.
 
     Args:
         label: of the film.
         images: the pairs.
-        total: how many they are.
+        total: their number.
     """
     said = 0.0
     for number, image in enumerate(images, 1):

@@ -1,4 +1,4 @@
-"""The inputs of a recorded run, found again by their content: to repeat it, or to draw films of its result."""
+"""Find the inputs of a recorded run again by their content: to repeat it, or to draw films of its result."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
     from hfb.typing import Array
 
 _PICTURES = ("frame_", "background", "video", "calibration")
-"""Roles of the files that pictures come from; networks, priors and truths are not needed to look at a result."""
+"""Roles of files that images come from; networks, priors and truths are not needed to draw a result."""
 
 _FAR = 60
 
 
 @dataclass(frozen=True)
 class SeenImages:
-    """What was seen.
+    """Camera, plate and frames of a recorded run.
 
     Attributes:
-        frame_linear: the blurred picture of a frame, by the motion's number for it, in ``light``.
         plate_linear: (H, W, 3), in the same light.
+        frame_linear: returns a blurred frame by its number in the motion, in ``light``.
     """
 
     camera: PinholeCamera
@@ -53,14 +53,14 @@ class SeenImages:
 
 @contextmanager
 def reload_images(run_words: str, inputs_folder: Path | None = None) -> Iterator[SeenImages]:
-    """The pictures of a recorded run, for as long as they are needed.
+    """Provide the images of a recorded run inside the block.
 
     Args:
         run_words: a run's id, the beginning of it, or its result's folder.
-        inputs_folder: where to look for pictures that are no longer where they were; they are told by their content.
+        inputs_folder: where to look for images that were moved; they are recognised by their content.
 
     Raises:
-        InputError: the run was not recorded, or its pictures are gone or were changed.
+        InputError: the run was not recorded, or its images are gone or were changed.
     """
     run = find_run(run_words)
     with tempfile.TemporaryDirectory() as made:
@@ -84,14 +84,14 @@ def reload_images(run_words: str, inputs_folder: Path | None = None) -> Iterator
 def reload_shot(
     run_words: str, inputs_folder: Path | None, *, motion: SampledMotion, body: Body, texture: Path
 ) -> Iterator[Shot]:
-    """What films of a recorded run are drawn from, for as long as they are.
+    """Provide everything that films of a recorded run are rendered from inside the block.
 
     Args:
         run_words: a run's id, the beginning of it, or its result's folder.
         inputs_folder: where to look for images that were moved.
         motion: of the result.
         body: that was fitted.
-        texture: the fitted texture's picture.
+        texture: an image file of the fitted texture.
 
     Raises:
         InputError: see `reload_images`.
@@ -155,14 +155,18 @@ def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run
 
 
 class _InOrder:
-    """Frames that are asked for one after another: a video is decoded once, not once per frame."""
+    """Sequential access to frames: a video is decoded once, not once per frame."""
 
     def __init__(self, footage: Footage) -> None:
         self._footage = footage
         self._next, self._frames = 0, footage.frames()
 
     def picture(self, number: int) -> Array:
-        """(H, W, 3), as the footage stores light."""
+        """Return a frame (H, W, 3), as the footage stores light.
+
+        Args:
+            number: of the frame.
+        """
         if not self._next <= number < self._next + _FAR:
             self._next, self._frames = number, self._footage.frames(number)
         while self._next < number:
@@ -173,7 +177,7 @@ class _InOrder:
 
 
 def locate_inputs(files: Mapping[str, GivenFile], folder: Path | None) -> dict[str, Path]:
-    """sha256 -> path of every file, at its old place or anywhere below a folder.
+    """Return sha256 -> path of every file, at its old place or anywhere below a folder.
 
     Args:
         files: by role, such as ``frame_0``.
@@ -205,7 +209,7 @@ def locate_inputs(files: Mapping[str, GivenFile], folder: Path | None) -> dict[s
 
 
 def _state(file: GivenFile) -> str | None:
-    """What is wrong with a file at its old place."""
+    """Return what is wrong with a file at its old place; None where nothing is."""
     try:
         if file.path.stat().st_size == file.bytes and sha256_of(file.path) == file.sha256:
             return None
@@ -217,7 +221,7 @@ def _state(file: GivenFile) -> str | None:
 
 
 def _below(folder: Path, files: list[GivenFile]) -> dict[str, Path]:
-    """The files that lie somewhere in a folder; only files of a wanted size are read."""
+    """Return the files that lie somewhere in a folder; only files of a wanted size are read."""
     wanted: dict[int, set[str]] = defaultdict(set)
     for file in files:
         wanted[file.bytes].add(file.sha256)

@@ -1,4 +1,4 @@
-"""An earlier result, named as users name it: its files, and the body model that it was fitted with."""
+"""Find an earlier result by the names that users give it: its files, and the body model that it was fitted with."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ MOTION, TEXTURE = "motion.npz", "texture.png"
 
 @dataclass(frozen=True)
 class FoundResult:
-    """A result's files, which may be missing but for the motion.
+    """A result's files; any but the motion may be missing.
 
     Attributes:
-        folder: where they lie; for a run that was named by its id, only for as long as they are needed.
-        motion: the motion file, in a folder under any name if it was named itself.
+        folder: of the files; for a run that was named by its id, only inside the block.
+        motion: the motion file, under any name if it was named itself.
         fetched: the run that they came from; None where a folder was named.
     """
 
@@ -37,22 +37,27 @@ class FoundResult:
 
     @property
     def name(self) -> str:
-        """What to call it."""
+        """Name of the result for titles."""
         return self.fetched.run_id[:8] if self.fetched else self.folder.resolve().name
 
     @property
     def run_words(self) -> str:
-        """What finds its record."""
+        """Id or folder that finds its record."""
         return self.fetched.run_id if self.fetched else str(self.folder)
 
     def new_folder(self, kind: str, beside: Path) -> Path:
-        """Where something made of it goes unless a folder is given: ``beside``, if it is a folder."""
+        """Return where further files go unless a folder is given.
+
+        Args:
+            kind: beginning of the folder's name for a run named by its id.
+            beside: the place for a result that is a folder.
+        """
         return Path("runs") / f"{kind}-{self.name}" if self.fetched else beside
 
 
 @contextmanager
 def resolve_result(source: str, names: Sequence[str], inner: Sequence[str] = ()) -> Iterator[FoundResult]:
-    """The result; of a run those of its files are fetched that are named here, and its motion.
+    """Provide a result inside the block; of a run its motion and the named files are fetched.
 
     Args:
         source: a result's folder, its motion file, or a run's id.
@@ -91,7 +96,11 @@ _SAME_BODY_M = 1e-3
 
 
 def find_named_body(result: Path) -> Path | None:
-    """The body model that result.json names; None where it names none or cannot be read."""
+    """Return the body model that result.json names; None where it names none or cannot be read.
+
+    Args:
+        result: path of result.json's sibling files, such as the motion.
+    """
     try:
         named = read_result_content(result.parent)["config"]["body"]["model"]
     except (InputError, KeyError, TypeError):
@@ -100,15 +109,15 @@ def find_named_body(result: Path) -> Path | None:
 
 
 def load_fitted_body(motion: SampledMotion, space: str, path: Path | None) -> Body:
-    """The body model that a motion was fitted with.
+    """Load the body model that a motion was fitted with.
 
     Args:
         motion: of the result.
-        space: whose betas the motion has.
-        path: of a SMPL file; None for the embedded body.
+        space: of the motion's betas.
+        path: a SMPL file; None for the embedded body.
 
     Raises:
-        InputError: it is a SMPL file that is not given, or another one is.
+        InputError: the motion's SMPL file is not given, or a different one is.
     """
     import numpy as np
     import torch

@@ -1,4 +1,4 @@
-"""report.html: a result's curves, its small film, and the page that holds everything."""
+"""report.html: a result's curves, its small film, and the page."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _OF_MOTION = ", of the motion "
 
 
 class ReportParts(Record):
-    """The files that a result's page is made of."""
+    """The files that a result's page consists of."""
 
     motion: FileHandle
     curves: FileHandle
@@ -44,7 +44,12 @@ class ReportParts(Record):
 
 @task("curves")
 def fit_curves(fit: FitHandle, folder: Path) -> FileHandle:
-    """curves.json of one problem; see `hfb.report.pages.result_curves`."""
+    """Write curves.json of one problem; see `hfb.report.pages.result_curves`.
+
+    Args:
+        fit: with its history.
+        folder: where the file goes.
+    """
     return _curves(folder, {"losses": json.loads(fit.history.path.read_text())})
 
 
@@ -73,7 +78,7 @@ def draw_page_film(shot: ShotHandle, folder: Path) -> FileHandle:
     """Draw the small slow-motion film of the page.
 
     Args:
-        shot: what it is drawn from.
+        shot: motion, body, plate and frames.
         folder: where it goes.
     """
     return FileHandle.of(write_page_film(shot.load(), shot.motion.sha256, folder))
@@ -84,7 +89,7 @@ def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> Fil
     """Write the page.
 
     Args:
-        parts: the files that it is made of.
+        parts: its files.
         facts: the content of result.json, the run's id among it.
         folder: where the page goes.
     """
@@ -96,7 +101,12 @@ def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> Fil
 
 
 def shows_another_motion(film: Path, motion_sha256: str) -> bool:
-    """Whether the page's film was drawn of another motion; films of older versions do not say, and are believed."""
+    """Return whether the page's film was drawn of another motion; films of older versions do not say, and are accepted.
+
+    Args:
+        film: the film.
+        motion_sha256: of the motion file.
+    """
     import av
 
     try:
@@ -108,7 +118,13 @@ def shows_another_motion(film: Path, motion_sha256: str) -> bool:
 
 
 def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
-    """Draw the page's film into a folder; says how far it is. The film says of which motion it is."""
+    """Draw the page's film with progress; the film's metadata name its motion.
+
+    Args:
+        shot: motion, body, plate and frames.
+        motion_sha256: of the motion file.
+        folder: where it goes.
+    """
     from hfb.io.media.video.video_writing import VideoWriter
     from hfb.report.films import page_film as small
     from hfb.report.films.slow_motion import FILM_FPS
@@ -131,15 +147,15 @@ def write_page(
     path: Path,
     name: str | None = None,
 ) -> None:
-    """Put the page together; whole or not at all. Arguments and errors as in `page_text`.
+    """Write the page atomically. Arguments and errors as in `page_text`.
 
     Args:
-        parts: the files that it is made of.
-        body: the model that was fitted, where it is at hand.
+        parts: its files.
+        body: the model that was fitted; None where it is not available.
         facts: the content of result.json.
         versions: of the machine that made the result.
         path: where the page goes.
-        name: of the result, where the facts do not tell; that of the page's folder when not given.
+        name: of the result; None for that of the page's folder.
     """
     from hfb.io.atomic import write_bytes_atomic
 
@@ -149,17 +165,17 @@ def write_page(
 def page_text(
     parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], *, name: str
 ) -> str:
-    """The page.
+    """Render the page.
 
     Args:
-        parts: the files that it is made of.
-        body: the model that was fitted, where it is at hand.
+        parts: its files.
+        body: the model that was fitted; None where it is not available.
         facts: the content of result.json.
         versions: of the machine that made the result.
-        name: of the result, where the facts do not tell.
+        name: of the result, where the facts have none.
 
     Raises:
-        InputError: a file is not what it should be.
+        InputError: a file is damaged or of another kind.
     """
     from hfb.io.media.images.image_io import stored_png
     from hfb.motion.motion_file import load_motion
@@ -188,7 +204,7 @@ def page_text(
 
 
 def _alternatives_of(motion: SampledMotion, path: Path) -> Alternatives:
-    """The alternatives of a motion. Raises InputError where they are another motion's."""
+    """Load the alternatives of a motion. Raises InputError where they are another motion's."""
     from hfb.fitting.alternatives import load_alternatives
 
     found = load_alternatives(path)[0]
@@ -203,7 +219,7 @@ def _title(facts: Mapping[str, Any], name: str) -> str:
 
 
 def _repeat(facts: Mapping[str, Any]) -> str | None:
-    """The command that repeats the run."""
+    """Return the command that repeats the run."""
     run_id = facts.get("mlflow_run_id")
     return f"hfb rerun {shlex.quote(run_id)}" if isinstance(run_id, str) else None
 
@@ -217,10 +233,14 @@ def _curves(folder: Path, content: Mapping[str, Any]) -> FileHandle:
 
 
 def add_report(run_id: str | None, report: FileHandle) -> None:
-    """The page beside the other files of a recorded run; a store that is lost costs a sentence.
+    """Add the page to the artifacts of a recorded run; a store that is lost costs a sentence.
 
-    It comes last since it names the run, and it is put there again by every repetition of the command: one that was
-    stopped between both is made whole.
+    It comes last since it names the run, and every repetition of the command adds it again: a command that was stopped
+    between both is thus completed.
+
+    Args:
+        run_id: of the run; None where it was not recorded.
+        report: the page.
     """
     if run_id is None:
         return

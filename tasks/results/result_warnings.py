@@ -1,4 +1,4 @@
-"""The task that looks for signs that a result is wrong, and who is told."""
+"""Look for signs that a result is wrong, and print them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MOST_LOOKS, _LOOK_PX = 15, 480
 
 
 class WarningsHandle(Record):
-    """What was found; see `hfb.evaluation.warnings`."""
+    """Warnings of a result; see `hfb.evaluation.warnings`."""
 
     warnings: tuple[ResultWarning, ...]
 
@@ -33,11 +33,11 @@ def look_for_warnings(
     """Compare a few frames with their plate and with the fitted body.
 
     Args:
-        clip: these frames alone; at most `_MOST_LOOKS` of them are looked at.
+        clip: these frames alone; at most `_MOST_LOOKS` of them are examined.
         numbers: of these frames.
         mattes: of these frames.
         motion: of the whole clip.
-        matte_iou: (frame, value) where it is known; of the frames that are looked at where it is empty.
+        matte_iou: (frame, value) where it is known; empty: it is computed for the examined frames.
         body: the user's body model; None for the embedded one.
         config: options of the fit.
     """
@@ -72,17 +72,29 @@ def look_for_warnings(
 
 
 def looks_over(numbers: Sequence[int]) -> tuple[int, ...]:
-    """A few of many frames, evenly."""
+    """Select a few of many frames, evenly spaced.
+
+    Args:
+        numbers: of the frames.
+    """
     step = max(1.0, (len(numbers) - 1) / (_MOST_LOOKS - 1))
     return tuple(numbers[round(at * step)] for at in range(min(len(numbers), _MOST_LOOKS)))
 
 
 def tell(warnings: Sequence[ResultWarning]) -> None:
-    """On the terminal."""
+    """Print warnings on the terminal.
+
+    Args:
+        warnings: of the result.
+    """
     for one in warnings:
         progress.say(f"hfb: warning: {one.message}")
 
 
 def plate_warnings(remarks: Sequence[str]) -> tuple[ResultWarning, ...]:
-    """What was said of the plate before the fit, as warnings of the result."""
+    """Return remarks on the plate from before the fit as warnings of the result.
+
+    Args:
+        remarks: one sentence each.
+    """
     return tuple(ResultWarning(code="plate", value=1.0, frames=(), message=remark) for remark in remarks)

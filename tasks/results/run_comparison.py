@@ -1,4 +1,4 @@
-"""Recorded runs beside each other: where options, inputs, machines and figures differ."""
+"""Comparison of recorded runs: differences in options, inputs, machines and metrics."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _FIRST = ("eval/", "rerun/", "time/", "fit/", "loss/total")
 
 
 class Words(NamedTuple):
-    """What every run says under one name; None where one says nothing."""
+    """A text of every run under one name; None where a run has none."""
 
     name: str
     values: tuple[str | None, ...]
 
 
 class Numbers(NamedTuple):
-    """A metric of every run; None where one lacks it or it is no number."""
+    """A metric of every run; None where a run lacks it or it is no number."""
 
     name: str
     values: tuple[float | None, ...]
@@ -34,7 +34,7 @@ class RunComparison:
 
     Attributes:
         config: options, inputs and clip where they differ.
-        same_options: how many do not.
+        same_options: number of equal ones.
         environment: versions, code and machine where they differ.
         metrics: every metric, errors and scores before losses.
     """
@@ -47,7 +47,11 @@ class RunComparison:
 
 
 def compare_records(runs: Sequence[StoredRun]) -> RunComparison:
-    """What the store says of some runs."""
+    """Compare runs by their records.
+
+    Args:
+        runs: at least two.
+    """
     params = [{current_option_name(name): value for name, value in run.params.items()} for run in runs]
     config = _find_differences(params)
     named = sorted({name for run in runs for name in run.metrics}, key=_order)

@@ -1,4 +1,4 @@
-"""Recorded runs, read back: what went in, how it went, what came out."""
+"""Read recorded runs back from MLflow."""
 
 from __future__ import annotations
 
@@ -48,12 +48,15 @@ class StoredRun:
 
     @property
     def title(self) -> str:
-        """How a person tells it from others."""
+        """Title that distinguishes the run from others."""
         return f"{self.name} ({self.run_id[:8]})"
 
 
 def find_run(words: str) -> StoredRun:
-    """A run by its id, the beginning of its id, or the folder of its result.
+    """Find a run by its id, the beginning of its id, or the folder of its result.
+
+    Args:
+        words: one of these.
 
     Raises:
         InputError: there is none, or more than one, or the store cannot be read.
@@ -64,7 +67,7 @@ def find_run(words: str) -> StoredRun:
 
 @contextmanager
 def readable_store() -> Iterator[None]:
-    """For what cannot go on without the store: a lost one is said to the user."""
+    """Turn a lost store inside the block into a sentence for the user, for commands that need it."""
     try:
         yield
     except tracking.StoreLost as lost:
@@ -76,6 +79,11 @@ def readable_store() -> Iterator[None]:
 
 def fetch_file(run: StoredRun, name: str, folder: Path) -> Path | None:
     """Download a file of a run into a folder; None where the run has no such file.
+
+    Args:
+        run: the run.
+        name: of the artifact.
+        folder: where the file goes.
 
     Raises:
         tracking.StoreLost: the store cannot be read.
@@ -121,7 +129,7 @@ def _every_run(condition: str) -> Iterator[Any]:
 
 
 def _id_in(folder: Path) -> str:
-    """The run of a result's folder."""
+    """Return the run's id of a result's folder."""
     told = result_facts(folder)
     found = told.get("mlflow_run_id")
     if isinstance(found, str):
@@ -133,7 +141,7 @@ def _id_in(folder: Path) -> str:
 
 
 def _recorded_in(folder: Path) -> list[Path]:
-    """The people of a clip whose runs were recorded; of some no motion may have been found."""
+    """Return the folders of people whose runs were recorded; others may have no motion."""
     found = []
     for one in natural_order(folder.glob("person-*")):
         if special_kind(one) is not None:
@@ -145,7 +153,11 @@ def _recorded_in(folder: Path) -> list[Path]:
 
 
 def result_facts(folder: Path) -> dict[str, Any]:
-    """The content of a folder's result.json; nothing where it is no result's."""
+    """Return the content of a folder's result.json; empty where it is not a result's.
+
+    Args:
+        folder: of the result.
+    """
     path = folder / RESULT
     check_result(folder, ())
     if not path.exists():

@@ -1,6 +1,6 @@
-"""What a person sees while a run works: a live line on a terminal, otherwise a plain line now and then.
+"""Displays of a run's progress: a live line on a terminal, otherwise periodic plain lines.
 
-The second also becomes progress artifacts of the flow run, for those who watch it in Prefect's pages.
+Without a terminal, progress artifacts of the flow run show it in Prefect's pages, too.
 """
 
 from __future__ import annotations
@@ -24,39 +24,92 @@ _NEARLY = 1 - 1e-6
 class Silent:
     """Shows nothing."""
 
-    def begin(self, shown: Shown) -> None: ...
-    def update(self, shown: Shown) -> None: ...
-    def end(self, shown: Shown, failed: bool) -> None: ...
-    def say(self, line: str) -> None: ...
+    def begin(self, shown: Shown) -> None:
+        """Ignore the step.
+
+        Args:
+            shown: the step.
+        """
+
+    def update(self, shown: Shown) -> None:
+        """Ignore the step.
+
+        Args:
+            shown: the step.
+        """
+
+    def end(self, shown: Shown, failed: bool) -> None:
+        """Ignore the step.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
+
+    def say(self, line: str) -> None:
+        """Ignore the line.
+
+        Args:
+            line: text without secrets.
+        """
+
     def running(self) -> AbstractContextManager[object]:
+        """Do nothing."""
         return nullcontext()
 
 
 class Plain:
-    """For logs and pipes: a line when a step ends, and after 2, 3, 5, 7, 10 ... seconds how far it is."""
+    """For logs and pipes: a line when a step ends, and its progress after 2, 3, 5, 7, 10 ... seconds."""
 
     def __init__(self, write: Callable[[str], None], first_s: float = 2.0) -> None:
+        """Begin without steps.
+
+        Args:
+            write: prints a line.
+            first_s: seconds before a step's first line.
+        """
         self._write = write
         self._first_s = first_s
         self._steps: list[Shown] = []
         self._stop = threading.Event()
 
     def begin(self, shown: Shown) -> None:
+        """Add the step.
+
+        Args:
+            shown: the step.
+        """
         self._steps.append(shown)
 
     def update(self, shown: Shown) -> None:
-        """The watching thread reads what it needs when its time comes."""
+        """Do nothing: the watching thread reads the step when its time comes.
+
+        Args:
+            shown: the step.
+        """
 
     def end(self, shown: Shown, failed: bool) -> None:
+        """Remove the step and print its outcome.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
         self._steps.remove(shown)
         if not failed:
             self.say(f"{shown.label}: {shown.outcome()}")
 
     def say(self, line: str) -> None:
+        """Print a line.
+
+        Args:
+            line: text without secrets.
+        """
         self._write(printable(line))
 
     @contextmanager
     def running(self) -> Iterator[None]:
+        """Run the watching thread."""
         thread = threading.Thread(target=self._watch, name="hfb-progress", daemon=True)
         thread.start()
         try:
@@ -83,6 +136,11 @@ class Live:
     """For a terminal: a spinner and a bar that give way to finished lines and to log lines."""
 
     def __init__(self, console: Console) -> None:
+        """Begin without steps.
+
+        Args:
+            console: of the terminal.
+        """
         self.console = console
         # no markup: labels and notes may hold the names of files, and those may hold brackets
         self._bar = Progress(
@@ -97,9 +155,19 @@ class Live:
         self._rows: dict[int, TaskID] = {}
 
     def begin(self, shown: Shown) -> None:
+        """Add a row for the step.
+
+        Args:
+            shown: the step.
+        """
         self._rows[id(shown)] = self._bar.add_task(printable(shown.label), total=None, note="")
 
     def update(self, shown: Shown) -> None:
+        """Redraw the step's row.
+
+        Args:
+            shown: the step.
+        """
         count = f"{shown.done}/{shown.total}" if shown.total else ""
         note = printable("  ".join(part for part in (count, shown.note) if part))
         # a full bar stands still, and its clock too: what counts to its end may have more to do
@@ -107,15 +175,27 @@ class Live:
         self._bar.update(self._rows[id(shown)], completed=done, total=shown.total, note=note)
 
     def end(self, shown: Shown, failed: bool) -> None:
+        """Replace the step's row by its outcome.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
         self._bar.remove_task(self._rows.pop(id(shown)))
         if not failed:
             line = Text(f"  {printable(shown.label):<24} ").append(f"{shown.outcome():>8}", "dim")
             self.console.print(line, soft_wrap=True)
 
     def say(self, line: str) -> None:
+        """Print a line above the rows.
+
+        Args:
+            line: text without secrets.
+        """
         self.console.print(Text(printable(line)), soft_wrap=True)
 
     def running(self) -> AbstractContextManager[object]:
+        """Draw the rows."""
         return self._bar
 
 
@@ -126,23 +206,45 @@ class Together:
         self._displays = displays
 
     def begin(self, shown: Shown) -> None:
+        """Pass the step on.
+
+        Args:
+            shown: the step.
+        """
         for display in self._displays:
             display.begin(shown)
 
     def update(self, shown: Shown) -> None:
+        """Pass the step on.
+
+        Args:
+            shown: the step.
+        """
         for display in self._displays:
             display.update(shown)
 
     def end(self, shown: Shown, failed: bool) -> None:
+        """Pass the step on.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
         for display in self._displays:
             display.end(shown, failed)
 
     def say(self, line: str) -> None:
+        """Pass the line on.
+
+        Args:
+            line: text without secrets.
+        """
         for display in self._displays:
             display.say(line)
 
     @contextmanager
     def running(self) -> Iterator[None]:
+        """Run all displays."""
         with ExitStack() as stack:
             for display in self._displays:
                 stack.enter_context(display.running())
@@ -150,7 +252,12 @@ class Together:
 
 
 def display_for(stream: TextIO | None = None, quiet: bool = False) -> Display:
-    """The display that suits a stream; standard error when not given."""
+    """Return the display that suits a stream.
+
+    Args:
+        stream: standard error where None.
+        quiet: shows nothing.
+    """
     if quiet:
         return Silent()
     target = stream or sys.stderr
@@ -161,12 +268,17 @@ def display_for(stream: TextIO | None = None, quiet: bool = False) -> Display:
 
 
 def lines_on(stream: TextIO, first_s: float = 2.0) -> Plain:
-    """Plain lines on a stream."""
+    """Return a display of plain lines on a stream.
+
+    Args:
+        stream: where lines go.
+        first_s: seconds before a step's first line.
+    """
     return Plain(lambda line: print(line, file=stream, flush=True), first_s)
 
 
 def display_of_flow_run() -> Display:
-    """The display of a flow run that nobody started by hand: lines in its own log, and progress artifacts."""
+    """Return the display of a flow run that a server started: lines in its log, and progress artifacts."""
     from prefect.logging import get_run_logger
 
     logger = get_run_logger()
@@ -175,7 +287,7 @@ def display_of_flow_run() -> Display:
 
 @contextmanager
 def show_progress() -> Iterator[None]:
-    """In a flow run: one that a server started tells of its steps in its log, a command has chosen its display."""
+    """Show progress inside a flow run that a server started; a command has chosen its display already."""
     if shown_to_somebody():
         yield
         return
@@ -184,7 +296,11 @@ def show_progress() -> Iterator[None]:
 
 
 def printable(line: str) -> str:
-    """A line without what would move a terminal's cursor or colour it: the name of a file can hold anything."""
+    """Replace characters that would move a terminal's cursor or colour it: a file's name can hold anything.
+
+    Args:
+        line: the text.
+    """
     return "".join(one if one.isprintable() or one in "\n\t" else "\N{REPLACEMENT CHARACTER}" for one in line)
 
 

@@ -1,9 +1,8 @@
-"""What tasks say about how far they are: the step they are in, how much of it is done, a line now and then.
+"""Progress of tasks: the current step, how much of it is done, and lines for the user.
 
-Everything goes to standard error; standard output is for results. Whoever starts a run chooses the display with
+Everything goes to standard error; standard output is for results. The caller of a run chooses the display with
 ``showing`` (see tasks/telemetry/displays.py). Tasks call ``step``, ``advance`` and ``say``, which do nothing without
 a display.
-Light to import.
 """
 
 from __future__ import annotations
@@ -31,29 +30,82 @@ class Shown:
 
     @property
     def seconds(self) -> float:
+        """Seconds since the step began."""
         return time.monotonic() - self.began
 
     def outcome(self) -> str:
+        """Return the outcome in a few characters."""
         return "reused" if self.reused else f"{self.seconds:.1f} s"
 
 
 class Display(Protocol):
-    """Where steps are shown. Any thread may call; steps may lie within each other."""
+    """Interface of a display. Any thread may call; steps may be nested."""
 
-    def begin(self, shown: Shown) -> None: ...
-    def update(self, shown: Shown) -> None: ...
-    def end(self, shown: Shown, failed: bool) -> None: ...
-    def say(self, line: str) -> None: ...
-    def running(self) -> AbstractContextManager[object]: ...
+    def begin(self, shown: Shown) -> None:
+        """Show a new step.
+
+        Args:
+            shown: the step.
+        """
+
+    def update(self, shown: Shown) -> None:
+        """Show the progress of a step.
+
+        Args:
+            shown: the step.
+        """
+
+    def end(self, shown: Shown, failed: bool) -> None:
+        """Show that a step ended.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
+
+    def say(self, line: str) -> None:
+        """Show a line.
+
+        Args:
+            line: text without secrets.
+        """
+
+    def running(self) -> AbstractContextManager[object]:
+        """Keep the display up inside the block."""
 
 
 class Listener(Protocol):
-    """Who hears of every step beside the display. Any thread may call."""
+    """Interface of an observer of every step. Any thread may call."""
 
-    def begin(self, shown: Shown) -> None: ...
-    def update(self, shown: Shown) -> None: ...
-    def end(self, shown: Shown, failed: bool) -> None: ...
-    def fail(self, step: str, reason: str) -> None: ...
+    def begin(self, shown: Shown) -> None:
+        """Observe a new step.
+
+        Args:
+            shown: the step.
+        """
+
+    def update(self, shown: Shown) -> None:
+        """Observe the progress of a step.
+
+        Args:
+            shown: the step.
+        """
+
+    def end(self, shown: Shown, failed: bool) -> None:
+        """Observe the end of a step.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
+
+    def fail(self, step: str, reason: str) -> None:
+        """Observe a failed input of a step.
+
+        Args:
+            step: its label.
+            reason: kind of the failure.
+        """
 
 
 # One for the whole process, not one per context: threads that libraries start log too, and nothing is to be swallowed.
@@ -63,13 +115,17 @@ _step: ContextVar[tuple[Shown, Display | None] | None] = ContextVar("step", defa
 
 
 def shown_to_somebody() -> bool:
-    """Whether a display was chosen."""
+    """Return whether a display was chosen."""
     return bool(_displays)
 
 
 @contextmanager
 def showing(display: Display) -> Iterator[None]:
-    """Show the steps inside on a display."""
+    """Show the steps inside the block on a display.
+
+    Args:
+        display: where they are shown.
+    """
     _displays.append(display)
     try:
         with display.running():
@@ -80,7 +136,11 @@ def showing(display: Display) -> Iterator[None]:
 
 @contextmanager
 def add_listener(listener: Listener) -> Iterator[None]:
-    """Somebody hears of the steps inside."""
+    """Pass the steps inside the block to an observer.
+
+    Args:
+        listener: the observer.
+    """
     _listeners.append(listener)
     try:
         yield
@@ -90,7 +150,11 @@ def add_listener(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def step(label: str) -> Iterator[Shown]:
-    """One step of a run, from here to the end of the block."""
+    """Show a step of a run, which lasts as long as the block.
+
+    Args:
+        label: as displayed.
+    """
     display, shown = _display(), Shown(label)
     token = _step.set((shown, display))
     for one in _audience(display):
@@ -106,7 +170,13 @@ def step(label: str) -> Iterator[Shown]:
 
 
 def advance(done: int, total: int, note: str = "") -> None:
-    """How far the current step is."""
+    """Set the progress of the current step.
+
+    Args:
+        done: finished inputs.
+        total: number of inputs.
+        note: short text behind the count.
+    """
     current = _step.get()
     if current is not None:
         shown, display = current
@@ -116,14 +186,22 @@ def advance(done: int, total: int, note: str = "") -> None:
 
 
 def fail(reason: str) -> None:
-    """One of the current step's inputs failed; the step goes on."""
+    """Report that an input of the current step failed; the step goes on.
+
+    Args:
+        reason: kind of the failure.
+    """
     current = _step.get()
     for listener in _listeners:
         listener.fail(current[0].label if current else "", reason)
 
 
 def say(line: str) -> None:
-    """A line for the person who waits."""
+    """Show a line to the user.
+
+    Args:
+        line: secrets in it are hidden.
+    """
     display = _display()
     if display is not None:
         display.say(without_secrets(line))

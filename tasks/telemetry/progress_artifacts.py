@@ -1,8 +1,8 @@
-"""Progress artifacts: how far the long steps of a flow run are, in Prefect's own pages.
+"""Progress artifacts: the progress of a flow run's long steps in Prefect's pages.
 
-Light to import: Prefect is loaded long after the display was chosen. An artifact costs its server a request, so steps
-that end soon have none, and the others a few updates; they are sent from a thread of their own, since a server that is
-slow, or gone, must not hold the work up.
+Light to import: Prefect is loaded long after the display was chosen. An artifact costs its server a request, so short
+steps have none, and the others a few updates. They are sent from a thread of their own: a slow or unreachable server
+must not delay the work.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class _Watched:
-    """A step of a flow run; ``context`` holds Prefect's settings as they were where it began."""
+    """A step of a flow run; ``context`` holds Prefect's settings from its beginning."""
 
     shown: Shown
     flow_run: UUID
@@ -39,9 +39,15 @@ class _Watched:
 
 
 class Artifacts:
-    """One progress artifact for every step that takes longer and says how far it is."""
+    """One progress artifact for every long step that reports its progress."""
 
     def __init__(self, first_s: float = _FIRST_S, every_s: float = _EVERY_S) -> None:
+        """Begin without steps.
+
+        Args:
+            first_s: duration after which a step gets an artifact.
+            every_s: interval of its updates.
+        """
         self._first_s, self._every_s = first_s, every_s
         self._watched: list[_Watched] = []
         self._lock = threading.Lock()
@@ -49,25 +55,45 @@ class Artifacts:
         self._gone = False
 
     def begin(self, shown: Shown) -> None:
+        """Watch the step, if it belongs to a flow run.
+
+        Args:
+            shown: the step.
+        """
         flow_run = _flow_run_id()
         if flow_run is not None and not self._gone:
             with self._lock:
                 self._watched.append(_Watched(shown, flow_run, copy_context()))
 
     def update(self, shown: Shown) -> None:
-        """The sending thread reads what it needs when its time comes."""
+        """Do nothing: the sending thread reads the step when its time comes.
+
+        Args:
+            shown: the step.
+        """
 
     def end(self, shown: Shown, failed: bool) -> None:
+        """Mark the step as ended.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
         with self._lock:
             for one in self._watched:
                 one.ended = one.ended or one.shown is shown
             self._watched = [one for one in self._watched if not one.ended or one.artifact is not None]
 
     def say(self, line: str) -> None:
-        """Lines are for other displays."""
+        """Ignore lines; other displays show them.
+
+        Args:
+            line: text without secrets.
+        """
 
     @contextmanager
     def running(self) -> Iterator[None]:
+        """Run the sending thread."""
         thread = threading.Thread(target=self._send, name="hfb-artifacts", daemon=True)
         thread.start()
         try:
@@ -94,14 +120,14 @@ class Artifacts:
 
 
 def _flow_run_id() -> UUID | None:
-    """The flow run in which this is called."""
+    """Return the flow run of the caller, or None."""
     contexts = sys.modules.get("prefect.context")
     run = contexts.FlowRunContext.get() if contexts is not None else None
     return run.flow_run.id if run is not None and run.flow_run is not None else None
 
 
 def _tell(one: _Watched) -> None:
-    """Make the step's artifact, or bring it up to date."""
+    """Create or update the step's artifact."""
     from prefect.client.orchestration import get_client
     from prefect.client.schemas.actions import ArtifactCreate, ArtifactUpdate
 

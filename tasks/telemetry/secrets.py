@@ -1,6 +1,6 @@
-"""Passwords and tokens are for the servers they are meant for: no log, message, record or page shows one.
+"""Hide passwords and tokens in logs, messages, records and pages.
 
-Everything that leaves hfb as text goes through `without_secrets`, or `hidden_in` where it is plain content. Light to
+All text that leaves hfb goes through `without_secrets`, or through `hidden_in` where it is plain content. Light to
 import.
 """
 
@@ -20,7 +20,7 @@ _NAMES = (
     r"secret[_-]?(?:access[_-]?)?key|account[_-]?key|private[_-]?key|auth[_-]?string|credentials?|authorization)|"
     r"pgpassword|AWSAccessKeyId|GoogleAccessId|accesstoken|sessiontoken|securitytoken|sharedaccesskey|sharedaccesssignature"
 )
-"""What a value that nobody may see is called: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
+"""Names of secret values: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
 
 _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@"), rf"\1:{HIDDEN}@"),
@@ -62,7 +62,11 @@ _SHORTEST, _SHORTEST_GUESSED = 4, 8  # a shorter value would be hidden wherever 
 
 
 def without_secrets(text: str) -> str:
-    """The text with every secret hidden: in addresses and headers, by its name, and what the environment holds."""
+    """Hide every secret of a text: in addresses and headers, by its name, and values of the environment.
+
+    Args:
+        text: any text.
+    """
     for value in _held():
         text = text.replace(value, HIDDEN)
     for pattern, shown in _RULES:
@@ -71,7 +75,11 @@ def without_secrets(text: str) -> str:
 
 
 def hidden_in(content: Any) -> Any:
-    """Plain content (of JSON) with `without_secrets` for each of its texts."""
+    """Return plain content with `without_secrets` applied to each of its texts.
+
+    Args:
+        content: of JSON.
+    """
     if isinstance(content, dict):
         return {name: hidden_in(value) for name, value in content.items()}
     if isinstance(content, list | tuple):
@@ -80,18 +88,26 @@ def hidden_in(content: Any) -> Any:
 
 
 def without_login(address: str) -> str:
-    """An http address without the name and password that may stand in it, to ask or to show: nobody's login."""
+    """Return an http address without the user name and password in it.
+
+    Args:
+        address: of a server.
+    """
     parts = urlsplit(address)
     return urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2]))
 
 
 def shown_address(address: str) -> str:
-    """An address as people may see it: without a login, its tokens hidden."""
+    """Return an address for display: without a login, its tokens hidden.
+
+    Args:
+        address: of a server.
+    """
     return without_secrets(without_login(address))
 
 
 def _held() -> Iterator[str]:
-    """Secrets of the environment, also as an address and as a header would hold them; the longest first."""
+    """Yield secrets of the environment, also as encoded in addresses and headers; the longest first."""
     found: set[str] = set()
     for name, value in os.environ.items():
         least = _SHORTEST if name in _SECRETS else _SHORTEST_GUESSED
@@ -104,8 +120,12 @@ def _held() -> Iterator[str]:
 
 
 class SecretFormatter(logging.Formatter):
-    """Hides passwords in every line, the account of an exception included."""
+    """Hides passwords in every line, tracebacks included."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """See the class."""
+        """Format a record without secrets.
+
+        Args:
+            record: of the log.
+        """
         return without_secrets(super().format(record))

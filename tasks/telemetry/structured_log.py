@@ -1,4 +1,4 @@
-"""One JSON object per line of the log, which says the run, the task and the frames that a line is about."""
+"""A log of one JSON object per line, with the run, the task and the frames that a line is about."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FRAME_PARAMETERS = ("number", "numbers", "frames")
 
 
 def ids_now() -> dict[str, Any]:
-    """``flow_run``, ``task`` and ``frames`` of whoever asks; what is not known is left out."""
+    """Return ``flow_run``, ``task`` and ``frames`` of the caller; unknown ones are left out."""
     contexts = sys.modules.get("prefect.context")
     if _given.get() or contexts is None:
         return _given.get()
@@ -31,7 +31,11 @@ def ids_now() -> dict[str, Any]:
 
 
 def ids_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """The ids of a call with these parameters, in the run of its task."""
+    """Return the ids of a call, in the run of its task.
+
+    Args:
+        parameters: arguments of the call by name.
+    """
     contexts = sys.modules.get("prefect.context")
     task = contexts.TaskRunContext.get() if contexts else None
     ids = {"flow_run": str(task.task_run.flow_run_id), "task": task.task.name} if task is not None else {}
@@ -47,7 +51,11 @@ def _numbers(value: object) -> list[int]:
 
 @contextmanager
 def about(ids: dict[str, Any]) -> Iterator[None]:
-    """Lines inside are about these, in a worker process that knows no more."""
+    """Set the ids of lines inside the block, for a worker process.
+
+    Args:
+        ids: as `ids_now` returns them.
+    """
     token = _given.set(ids)
     try:
         yield
@@ -56,10 +64,14 @@ def about(ids: dict[str, Any]) -> Iterator[None]:
 
 
 class WithIds(logging.Filter):
-    """Keeps with every record what it is about; for handlers, which see the records of all loggers."""
+    """Adds the ids to every record; for handlers, which get the records of all loggers."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """See the class."""
+        """Add the ids and pass the record.
+
+        Args:
+            record: of the log.
+        """
         if not hasattr(record, "ids"):  # a worker's has them, and Prefect's own lines say whose they are
             told = {ours: getattr(record, theirs, None) for ours, theirs in _OF_PREFECT.items()}
             record.ids = ids_now() | {name: str(value) for name, value in told.items() if value is not None}
@@ -70,7 +82,11 @@ class JsonFormatter(logging.Formatter):
     """``time``, ``level``, ``process``, ``logger``, ``message``, ``error`` and the ids; passwords are hidden."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """See the class."""
+        """Format a record as JSON.
+
+        Args:
+            record: of the log.
+        """
         content = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname,

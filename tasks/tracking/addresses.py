@@ -1,4 +1,4 @@
-"""Addresses of servers that a user sets: their form, and whether somebody answers there. Light to import."""
+"""Check addresses of servers: their form, and whether the server answers. Light to import."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _HOST = re.compile(r"[^\s/\\@<>\"'`{}|^%]+")
 
 
 def check_address(variable: str, address: str, example: str) -> None:
-    """Check that the address of a server has the form of one; asks nobody.
+    """Check that an address has the form of a server's; nothing is sent.
 
     Args:
-        variable: where the user set it.
-        address: what the user set.
-        example: an address as it should be.
+        variable: environment variable that holds it.
+        address: as the user set it.
+        example: a correct address.
 
     Raises:
         InputError: it is no http or https address with a host.
@@ -33,7 +33,7 @@ def check_address(variable: str, address: str, example: str) -> None:
 
 
 def no_answer(address: str, patience_s: float) -> str | None:
-    """Why the server at an address is of no use; None where it answers, be it with a request to log in.
+    """Return why a server is unusable; None where it answers, including with a request to log in.
 
     Args:
         address: an http address that answers to GET.

@@ -1,4 +1,4 @@
-"""The run in MLflow: what went in, how it went, what came out."""
+"""The MLflow run of a fit: inputs, history and results."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def fit_record(
     published: Mapping[str, FileHandle],
     result: dict[str, Any],
 ) -> RunRecord:
-    """The record of a fit, found again by its inputs, its options and the code.
+    """Return the record of a fit, identified by its inputs, its options and the code.
 
     Args:
-        inputs: what the user handed over.
+        inputs: of the run.
         config: all options.
         fit: the motion.
-        scores: how good it is.
-        published: the files that the run leaves, by name.
+        scores: of the motion.
+        published: the files of the result, by name.
         result: the content of result.json.
     """
     options = config.model_dump(mode="json")

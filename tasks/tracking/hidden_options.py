@@ -1,4 +1,4 @@
-"""Options of a recorded run that held a secret: the record hides them, and a repetition is told them again."""
+"""Options of a recorded run that held a secret: the record hides them, and a repetition needs them again."""
 
 from __future__ import annotations
 
@@ -14,17 +14,26 @@ _OF_PICTURES = (_INPUTS, "camera", "exposure", "video")
 
 
 def hidden_options(recipe: Recipe) -> tuple[str, ...]:
-    """The options whose values a recipe hides, such as ``init.person``; files are told by their content instead."""
+    """Return the options whose values a recipe hides, such as ``init.person``; files are identified by content instead.
+
+    Args:
+        recipe: of the run.
+    """
     known = set(places_of_paths(recipe))
     content = {**recipe.config, _INPUTS: recipe.inputs}
     return tuple(".".join(keys) for keys in _hidden(content, known, ()))
 
 
 def with_options(recipe: Recipe, given: Mapping[str, str], run: str) -> Recipe:
-    """The recipe with its hidden options as they are given.
+    """Return the recipe with its hidden options filled in.
+
+    Args:
+        recipe: of the run.
+        given: option -> value.
+        run: its title, for messages.
 
     Raises:
-        InputError: one is missing, or one is given that the record holds.
+        InputError: one is missing, or one is given that the record does not hide.
     """
     hidden = hidden_options(recipe)
     if held := [name for name in given if name not in hidden]:
@@ -39,10 +48,14 @@ def with_options(recipe: Recipe, given: Mapping[str, str], run: str) -> Recipe:
 
 
 def for_pictures(recipe: Recipe, run: str) -> Recipe:
-    """The recipe without its hidden options, of which what the pictures were does not depend.
+    """Return the recipe without its hidden options, if the images do not depend on them.
+
+    Args:
+        recipe: of the run.
+        run: its title, for messages.
 
     Raises:
-        InputError: it does.
+        InputError: the images depend on a hidden option.
     """
     hidden = hidden_options(recipe)
     if needed := [name for name in hidden if name.split(".")[0] in _OF_PICTURES]:

@@ -1,6 +1,6 @@
-"""Whose run is it: what kill -9 leaves behind says RUNNING for ever, unless the next start sees that nobody runs it.
+"""Ownership of runs: a killed process leaves its run RUNNING, which the next start detects.
 
-A run is marked with its owner: host, process number and when that process began, since numbers are given out again.
+A run is marked with its owner: host, process number and start of that process, since numbers are reused.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ def _owner_of(process: int) -> str:
 
 
 def owner() -> str:
-    """This process, told apart from any other that ever ran on this machine."""
+    """Return a mark that identifies this process among all that ever ran on this machine."""
     return _owner_of(os.getpid())
 
 
 def is_abandoned(mark: str) -> bool:
-    """Whether the process that a run is marked with is surely gone; other machines' processes are not known here."""
+    """Return whether the process of a run's mark is certainly gone; processes of other machines are not known here.
+
+    Args:
+        mark: as `owner` returned it.
+    """
     host, _, rest = mark.rpartition("/")[0].rpartition("/")
     began = mark.rpartition("/")[2]
     if host != platform.node() or not rest.isdigit() or began == "-":
@@ -36,7 +40,7 @@ def is_abandoned(mark: str) -> bool:
 
 
 def _beginning(process: int) -> str | None:
-    """When a process began, in whatever words the system has for it; None where there is no such process."""
+    """Return when a process began, in the system's own format; None where there is no such process."""
     if _BOOT.exists():
         try:
             fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()

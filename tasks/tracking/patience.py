@@ -20,7 +20,11 @@ _SHORTEST_S = 0.5
 
 
 def within(seconds: float, action: Callable[[], T]) -> T:
-    """The result of a call, or its exception; a call that takes longer is left to end by itself.
+    """Return the result of a call, or raise its exception; a call that takes longer is left to end by itself.
+
+    Args:
+        seconds: to wait.
+        action: the call.
 
     Raises:
         TimeoutError: it did not end in time.
@@ -45,19 +49,25 @@ def within(seconds: float, action: Callable[[], T]) -> T:
 
 
 class Patience:
-    """The time that calls which fail may take in all; a call that succeeds renews it."""
+    """The total time that failing calls may take; a successful call renews it."""
 
     def __init__(self, total_s: float = TOTAL_S, call_s: float = CALL_S) -> None:
+        """Begin with all the time.
+
+        Args:
+            total_s: for all failing calls together.
+            call_s: for one call.
+        """
         self._total_s, self._call_s = total_s, call_s
         self._left_s = total_s
         self._lock = threading.Lock()
 
     def call(self, action: Callable[[], T], least_s: float = 0.0) -> T:
-        """Run an action as `within` does, for as long as there is patience.
+        """Run an action as `within` does, for as long as time remains.
 
         Args:
             action: the call.
-            least_s: how long the action may take in any case, such as an upload of a large file.
+            least_s: time that the action may take in any case, such as for an upload of a large file.
 
         Raises:
             TimeoutError: it took too long, or earlier calls have used up the time.

@@ -1,4 +1,4 @@
-"""What a run was made of, kept with its record so that it can be made again: `hfb rerun` reads nothing else."""
+"""Inputs and options of a run, stored with its record: `hfb rerun` reads nothing else."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.inputs.inputs import input_files
 
 RECIPE = "recipe.json"
-"""The artifact's name."""
+"""Name of the artifact."""
 
 COMMAND_TAG = "hfb.command"
 _LIMIT_BYTES = 64 << 20
@@ -23,7 +23,7 @@ RecordT = TypeVar("RecordT", bound=Record)
 
 
 class GivenFile(Record):
-    """A file as it was handed over."""
+    """A file as the user provided it."""
 
     path: Path
     sha256: str
@@ -34,8 +34,9 @@ class Recipe(Record):
     """A run's inputs, options and results.
 
     Attributes:
-        config, inputs, options: plain content: the configuration, the command's own record of what it was given, and
-            whatever else the command was told.
+        config: the configuration, as plain content.
+        inputs: the command's record of its inputs, as plain content.
+        options: further arguments of the command.
         files: the files of the inputs by role.
         results: sha256 of the files that were made, by the name they were published under.
         code: `hfb.tasks.core.environment.code_version` then.
@@ -60,13 +61,13 @@ def recipe(
     code: str,
     options: Mapping[str, Any] | None = None,
 ) -> Recipe:
-    """What there is to know about a run that has just come to its end.
+    """Return the recipe of a run that has just finished.
 
     Args:
         command: which made the run.
         config: all its options.
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
-        results: the files that say what came out; those that differ from run to run, such as timings, left out.
+        results: files of the result, without those that differ from run to run, such as timings.
         code: `hfb.tasks.core.environment.code_version()`.
         options: plain values that are neither configuration nor input.
     """
@@ -87,7 +88,11 @@ def recipe(
 
 
 def read_recipe(path: Path, run: str) -> Recipe:
-    """The recipe of a run, as it was downloaded.
+    """Read a downloaded recipe.
+
+    Args:
+        path: the file.
+        run: its title, for messages.
 
     Raises:
         InputError: it is damaged, or of another version of hfb.
@@ -104,7 +109,7 @@ def read_recipe(path: Path, run: str) -> Recipe:
 
 
 def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunConfig:
-    """The run's options, with every file that they name where it lies now.
+    """Return the run's options, with the current place of every file that they name.
 
     Args:
         recipe: of the run.
@@ -121,10 +126,10 @@ def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunCo
 
 
 def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path], run: str) -> RecordT:
-    """What the command was given, with every file where it lies now.
+    """Return the command's inputs, with the current place of every file.
 
     Args:
-        kind: the record that the command takes its inputs into.
+        kind: the record of the command's inputs.
         recipe: of the run.
         places: sha256 -> the file.
         run: its title, for messages.
@@ -136,7 +141,11 @@ def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path
 
 
 def places_of_paths(recipe: Recipe) -> dict[str, str]:
-    """Path -> sha256 of every file; left out where a record that hides a secret shows two files as one path."""
+    """Return path -> sha256 of every file; a path that stands for two files, one of them hidden, is left out.
+
+    Args:
+        recipe: of the run.
+    """
     found: dict[str, set[str]] = {}
     for file in recipe.files.values():
         found.setdefault(str(file.path), set()).add(file.sha256)
@@ -144,13 +153,13 @@ def places_of_paths(recipe: Recipe) -> dict[str, str]:
 
 
 def _now(recipe: Recipe, places: Mapping[str, Path]) -> dict[str, str]:
-    """Where a file was -> where it is; a handle's own sha256 -> where that is."""
+    """Return old path -> current path, and a handle's sha256 -> the current path's."""
     paths = {path: str(places[sha256]) for path, sha256 in places_of_paths(recipe).items() if sha256 in places}
     return paths | {sha256: str(place) for sha256, place in places.items()}
 
 
 def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
-    """Every path in plain content that names one of some files from the current folder -> the file's whole path."""
+    """Return every relative path in plain content that names one of the files -> its absolute path."""
     if isinstance(content, dict | list):
         inner = content.values() if isinstance(content, dict) else content
         return {name: path for one in inner for name, path in _absolute(one, paths).items()}
@@ -159,7 +168,7 @@ def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
 
 
 def _replace_paths(content: Any, moved: Mapping[str, str]) -> Any:
-    """Plain content with every path that a file was moved from replaced, in handles and options alike."""
+    """Replace every moved path in plain content, in handles and options alike."""
     if isinstance(content, dict):
         there = {name: _replace_paths(value, moved) for name, value in content.items() if name != "sha256"}
         if "sha256" not in content:

@@ -1,4 +1,4 @@
-"""What MLflow keeps of a finished run, as plain content: recorded at once, or later from the result's folder."""
+"""The MLflow record of a finished run as plain content: recorded at once, or later from the result's folder."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class RecordedFile(Record):
 
 
 class RunRecord(Record):
-    """A run as it is recorded.
+    """Content of a run.
 
     Attributes:
         key: decides which run it is; see `hfb.tasks.tracking.tracking.record_run`.
@@ -62,8 +62,8 @@ def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
     """Find or create the run, and log everything into it; a finished one stays as it is.
 
     Args:
-        record: what the run will hold.
-        paths: where the record's files lie, by name.
+        record: content of the run.
+        paths: places of the record's files, by name.
 
     Raises:
         tracking.StoreLost: the store cannot be reached or written.
@@ -79,7 +79,12 @@ def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
 
 
 def keep_for_later(record: RunRecord, folder: Path) -> FileHandle:
-    """Write a record that the store did not take into a file, from which `hfb record` makes the same run."""
+    """Write a record that the store did not accept into a file, from which `hfb record` makes the same run.
+
+    Args:
+        record: content of the run.
+        folder: of the result.
+    """
     key, tags = tracking.add_record_context(record.key, record.tags)
     path = folder / RECORD
     kept = record.model_copy(update={"key": key, "tags": tags})
@@ -88,7 +93,10 @@ def keep_for_later(record: RunRecord, folder: Path) -> FileHandle:
 
 
 def read_kept(result: Path) -> RunRecord:
-    """The record that waits in a result's folder. The folder may be from anybody.
+    """Read the record that waits in a result's folder, which may come from anybody.
+
+    Args:
+        result: the folder.
 
     Raises:
         InputError: it is damaged, or names anything but files that a result consists of.
@@ -113,7 +121,11 @@ def read_kept(result: Path) -> RunRecord:
 
 
 def check_recorded_files(record: RunRecord, result: Path) -> dict[str, Path]:
-    """The files of a record in a result's folder, each as it was when the result was made.
+    """Return the files of a record in a result's folder, each unchanged since the result was made.
+
+    Args:
+        record: content of the run.
+        result: the folder.
 
     Raises:
         InputError: one is gone, was changed, or is a link.

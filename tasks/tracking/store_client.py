@@ -45,13 +45,16 @@ class StoreLost(Exception):
 
 
 def client() -> MlflowClient:
-    """The client of the store; what it raises, `store_losses` turns into StoreLost."""
+    """Return the store's client; `store_losses` turns its exceptions into StoreLost."""
     return client_of(tracking_uri())
 
 
 @functools.cache
 def client_of(uri: str) -> MlflowClient:
-    """The client of a store, whose calls wait no longer than `hfb.tasks.tracking.patience` allows.
+    """Return the client of a store, whose calls wait no longer than `hfb.tasks.tracking.patience` allows.
+
+    Args:
+        uri: of the store.
 
     Raises:
         StoreLost: its tables are of another version of MLflow.
@@ -71,13 +74,17 @@ def client_of(uri: str) -> MlflowClient:
 
 @functools.cache
 def patience(uri: str) -> Patience:
-    """How long this process still waits for a store."""
+    """Return the time that this process still waits for a store; one object per store.
+
+    Args:
+        uri: of the store.
+    """
     return Patience()
 
 
 @contextmanager
 def store_losses() -> Iterator[None]:
-    """Whatever a store fails with, as one exception."""
+    """Turn any exception of a store inside the block into StoreLost."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -89,11 +96,14 @@ def store_losses() -> Iterator[None]:
 
 @contextmanager
 def usable_store(uri: str) -> Iterator[None]:
-    """Check a store's tables, and say in one sentence what opening it inside fails with.
+    """Check a store's tables, and turn exceptions of opening it inside the block into one sentence.
+
+    Args:
+        uri: of the store.
 
     Raises:
         TemporaryError: the store does not answer, or its tables are of another version of MLflow.
-        InputError: what reads such a store is not installed, or the address is wrong.
+        InputError: a library for such a store is missing, or the address is wrong.
     """
     import mlflow  # noqa: F401  (takes seconds, which do not count as waiting)
 
@@ -115,7 +125,7 @@ def usable_store(uri: str) -> Iterator[None]:
 
 
 class _BoundedClient:
-    """MlflowClient, each call of which ends in time."""
+    """MlflowClient whose calls have a time limit."""
 
     def __init__(self, made: MlflowClient, waiting: Patience) -> None:
         self._made, self._waiting = made, waiting
@@ -160,7 +170,7 @@ def _check_tables(uri: str) -> None:
 
 
 def _wait_until_settled(read: Callable[[], str | None], wanted: str | None) -> str | None:
-    """What is read, once it no longer changes: another process may be making the tables."""
+    """Read until the value no longer changes: another process may be creating the tables."""
     found, since = read(), time.monotonic()
     while found not in (None, wanted) and time.monotonic() - since < _MIGRATES_S:
         time.sleep(0.5)

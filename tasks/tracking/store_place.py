@@ -1,4 +1,4 @@
-"""Where runs are recorded: a server, a database, or a SQLite file. Knows no MLflow, so it is light to import."""
+"""Address of the store of runs: a server, a database, or a SQLite file. Light to import: without MLflow."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _ENDINGS = (".db", ".sqlite", ".sqlite3")
 
 
 def tracking_uri() -> str:
-    """Where runs are recorded; a SQLite file by its whole path, whatever form of address the user chose."""
+    """Return the store's address; a SQLite file by its absolute path, whatever form the user chose."""
     given = os.environ.get(_VARIABLE, "").strip()
     if not given:
         return sqlite_uri(platformdirs.user_data_path("hfb") / "mlflow.db")
@@ -46,12 +46,20 @@ def tracking_uri() -> str:
 
 
 def sqlite_uri(file: Path) -> str:
-    """The address of a SQLite file."""
+    """Return the address of a SQLite file.
+
+    Args:
+        file: its path.
+    """
     return f"sqlite:///{file.absolute()}"
 
 
 def sqlite_file(uri: str) -> Path | None:
-    """The file of a SQLite store; None for other stores, for one in memory, and for addresses that name no file."""
+    """Return the file of a SQLite store; None for other stores, for one in memory, and for addresses without a file.
+
+    Args:
+        uri: of the store.
+    """
     found = _SQLITE.fullmatch(uri)
     if found is None or len(found["slashes"]) < 3 or found["driver"] not in (None, "pysqlite"):
         return None
@@ -68,8 +76,11 @@ def sqlite_file(uri: str) -> Path | None:
 def check_store(uri: str) -> None:
     """Check that runs can be recorded at an address, before any work begins and before MLflow waits minutes for it.
 
+    Args:
+        uri: of the store.
+
     Raises:
-        InputError: the address is none that MLflow takes.
+        InputError: MLflow does not support the address.
         TemporaryError: the store does not answer, or cannot be written.
     """
     scheme = _scheme(uri)
@@ -94,17 +105,28 @@ def check_store(uri: str) -> None:
 
 
 def on_server(uri: str) -> bool:
-    """Whether runs go to a server, which has pages of its own."""
+    """Return whether runs go to a server, which has pages of its own.
+
+    Args:
+        uri: of the store.
+    """
     return _scheme(uri) in ("http", "https")
 
 
 def on_database(uri: str) -> bool:
-    """Whether runs go straight into a database, be it a SQLite file."""
+    """Return whether runs go directly into a database, including a SQLite file.
+
+    Args:
+        uri: of the store.
+    """
     return _scheme(uri) in ("sqlite", *_DATABASES)
 
 
 def pages_command(port: int = LOCAL_PORT) -> list[str]:
-    """The command that shows a local store's runs in a browser; it stays small in the environment SMALL_SERVER.
+    """Return the command that shows a local store's runs in a browser; the environment SMALL_SERVER keeps it small.
+
+    Args:
+        port: of the pages.
 
     Raises:
         InputError: runs go to a server, or the store cannot be used.
@@ -119,19 +141,27 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
 
 
 def upgrade_command(uri: str) -> str:
-    """What brings a store's tables to the installed MLflow; shows no password."""
+    """Return the command that migrates a store's tables to the installed MLflow; it shows no password.
+
+    Args:
+        uri: of the store.
+    """
     named = f'"${_VARIABLE}"' if os.environ.get(_VARIABLE) else f"'{uri}'"
     return f"{sys.executable} -m mlflow db upgrade {named}"
 
 
 def make_folder(uri: str) -> None:
-    """The folder of a local store's file; SQLite makes none."""
+    """Create the folder of a local store's file; SQLite creates none.
+
+    Args:
+        uri: of the store.
+    """
     if file := sqlite_file(uri):
         file.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _scheme(uri: str) -> str:
-    """The kind of a store, without its driver; empty for a folder."""
+    """Return the kind of a store, without its driver; empty for a folder."""
     found = re.match(r"([a-zA-Z][\w.+-]*):", uri)
     return found[1].lower().partition("+")[0] if found else ""
 
@@ -145,7 +175,7 @@ def _plugins() -> set[str]:
 
 
 def _advice(place: str) -> str:
-    """A file to record into, named so that it works as it is written."""
+    """Return advice to record into a SQLite file near the place."""
     path = unquote(urlsplit(place).path) if place.startswith("file:") else place
     whole = Path(path or "mlruns").expanduser().absolute()
     file = whole if whole.suffix in _ENDINGS and not whole.is_dir() else whole.with_name(f"{whole.name or 'mlruns'}.db")

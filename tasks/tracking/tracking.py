@@ -1,11 +1,10 @@
-"""MLflow: one run per problem, found again by what went in.
+"""MLflow: one run per problem, identified by its inputs.
 
 Only this module and `hfb.tasks.tracking.store_client` import mlflow.
 
-Where: ``MLFLOW_TRACKING_URI`` when set, else a SQLite file in the user's own data folder, with its artifacts
-beside it. Everything goes through a client with an explicit run id: MLflow's fluent run belongs to one thread,
-and a task in another would start a stray one. Metric times are derived from the step, so that logging the same
-values again changes nothing.
+The store is ``MLFLOW_TRACKING_URI`` when set, else a SQLite file in the user's data folder, with its artifacts beside
+it. All calls use a client with an explicit run id: MLflow's fluent run belongs to one thread, and a task in another
+thread would start a second run. Metric times are derived from the step, so that repeated logging changes nothing.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ _MONITOR_ENDS_S = 5.0
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is being recorded."""
+    """An open run."""
 
     uri: str
     experiment_id: str
@@ -66,7 +65,7 @@ def record_run(
     Args:
         name: of the run.
         key: a hash of everything in ``params``, which MLflow does not let change: the same key is the same run.
-        params: what went in.
+        params: inputs and options.
         tags: besides versions and machine.
         parent: the run under which this one is shown.
 
@@ -91,12 +90,12 @@ def record_run(
 
 
 def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Run:
-    """Find or create the run of a long problem, which is recorded while it works; `end_run` ends it.
+    """Find or create the run of a long problem, which is recorded while it computes; `end_run` ends it.
 
     Args:
         name: of the run.
         key: as of `record_run`.
-        params: what went in.
+        params: inputs and options.
         tags: besides versions and machine.
 
     Raises:
@@ -107,23 +106,35 @@ def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str,
 
 
 def end_run(run: Run, status: str) -> None:
-    """FINISHED, FAILED or KILLED; a run that was found complete stays as it is. Raises StoreLost."""
+    """Set FINISHED, FAILED or KILLED; a run that was found complete stays as it is. Raises StoreLost.
+
+    Args:
+        run: the run.
+        status: one of these.
+    """
     if not run.complete:
         with store_losses():
             client_of(run.uri).set_terminated(run.run_id, status)
 
 
 def open_run(run_id: str) -> Run:
-    """A run that is there, to add to it. Raises StoreLost."""
+    """Open an existing run to add to it. Raises StoreLost.
+
+    Args:
+        run_id: of the run.
+    """
     with store_losses():
         info = client().get_run(run_id).info
     return Run(tracking_uri(), info.experiment_id, run_id, info.start_time, info.status == "FINISHED")
 
 
 def watch_machine(run: Run) -> Callable[[], None]:
-    """MLflow's figures of the machine (processor, memory, network, GPU), ``system/...``, until the result is called.
+    """Record MLflow's system metrics (processor, memory, network, GPU), ``system/...``, until the result is called.
 
-    A dozen points every ten seconds: only where MLflow's own variable asks for them.
+    They are a dozen points every ten seconds, recorded only where MLflow's own variable requests them.
+
+    Args:
+        run: the run.
     """
     if run.complete or os.environ.get(_SYSTEM, "").lower() not in ("1", "true"):
         return lambda: None
@@ -160,7 +171,7 @@ def open_store() -> None:
 
 
 def end_abandoned_runs() -> int:
-    """KILLED for every RUNNING run whose process on this machine is gone; returns how many there were."""
+    """Set KILLED for every RUNNING run whose process on this machine is gone; returns their number."""
     client, ended, page = client_of(tracking_uri()), 0, None
     experiment_id = _experiment(client)
     while True:
@@ -175,13 +186,23 @@ def end_abandoned_runs() -> int:
 
 
 def read_logged_steps(run: Run, metric: str) -> set[int]:
-    """The steps at which a run has a point of a metric already. Raises StoreLost."""
+    """Return the steps at which a run already has a point of a metric. Raises StoreLost.
+
+    Args:
+        run: the run.
+        metric: its name.
+    """
     with store_losses():
         return {point.step for point in client_of(run.uri).get_metric_history(run.run_id, metric)}
 
 
 def log_histories(run: Run, histories: Mapping[str, Sequence[float | None]]) -> None:
-    """Metrics with one value per step, None for a step without; logging the same again leaves one point per step."""
+    """Log metrics with one value per step, None for a step without; repeated logging leaves one point per step.
+
+    Args:
+        run: the run.
+        histories: values by metric.
+    """
     log_points(
         run,
         {name: {k: float(v) for k, v in enumerate(values) if v is not None} for name, values in histories.items()},
@@ -189,7 +210,12 @@ def log_histories(run: Run, histories: Mapping[str, Sequence[float | None]]) -> 
 
 
 def log_points(run: Run, points: Mapping[str, Mapping[int, float]]) -> None:
-    """Metrics as step -> value; logging the same again leaves one point per step. Raises StoreLost."""
+    """Log metrics as step -> value; repeated logging leaves one point per step. Raises StoreLost.
+
+    Args:
+        run: the run.
+        points: metric -> step -> value.
+    """
     from mlflow.entities import Metric
 
     metrics = [
@@ -204,21 +230,36 @@ def log_points(run: Run, points: Mapping[str, Mapping[int, float]]) -> None:
 
 
 def log_files(run: Run, files: Sequence[Path], folder: str | None = None) -> None:
-    """Files as artifacts, in a folder of the run."""
+    """Log files as artifacts.
+
+    Args:
+        run: the run.
+        files: the files.
+        folder: of the run; None for its top.
+    """
     client = client_of(run.uri)
     for path in files:
         client.log_artifact(run.run_id, str(path), artifact_path=folder)
 
 
 def log_dict(run: Run, content: Mapping[str, Any], name: str) -> None:
-    """An artifact made of plain values."""
+    """Log plain values as an artifact; secrets in it are hidden.
+
+    Args:
+        run: the run.
+        content: plain values.
+        name: of the artifact.
+    """
     client_of(run.uri).log_dict(run.run_id, hidden_in(dict(content)), name)
 
 
 def link(run: Run) -> str:
-    """The page of a run; a local store has pages while `hfb runs` is up.
+    """Return the page of a run; a local store has pages while `hfb runs` is up.
 
-    ``HFB_MLFLOW_PAGES``: where people find a server that workers see under another address.
+    ``HFB_MLFLOW_PAGES`` is the public address of a server that workers reach under another one.
+
+    Args:
+        run: the run.
     """
     base = os.environ.get("HFB_MLFLOW_PAGES") or (run.uri if on_server(run.uri) else LOCAL_PAGES)
     base = shown_address(base).rstrip("/")
@@ -267,13 +308,18 @@ def _find_or_create(
 
 
 def add_record_context(key: str, tags: Mapping[str, str]) -> tuple[str, dict[str, str]]:
-    """The key and the tags by which a run that is recorded later is the same as if it were recorded now."""
+    """Return key and tags with which a run recorded later is the same as one recorded now.
+
+    Args:
+        key: of the run.
+        tags: of the run.
+    """
     key, tags = _of_repetition(key, tags)
     return key, {**environment(), **tags}
 
 
 def _of_repetition(key: str, tags: Mapping[str, str]) -> tuple[str, Mapping[str, str]]:
-    """A repetition has a run of its own, and never finds the one that it repeats."""
+    """Return key and tags of a repetition, which has its own run and never finds the one that it repeats."""
     repeated = repetition.current()
     if repeated is None:
         return key, tags
@@ -289,7 +335,12 @@ def _log_params(client: MlflowClient, run_id: str, params: Mapping[str, Any]) ->
 
 
 def flatten(content: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Nested options as dotted names; lists as JSON."""
+    """Return nested options with dotted names; lists as JSON.
+
+    Args:
+        content: nested options.
+        prefix: of all names.
+    """
     flat: dict[str, str] = {}
     for name, value in content.items():
         if isinstance(value, Mapping):

@@ -1,8 +1,7 @@
-"""A clip's run in MLflow: one run, frames as steps, one point per frame and metric whatever was killed on the way.
+"""A clip's run in MLflow: one run, frames as steps, one point per frame and metric even after a kill.
 
-It is written while the clip is worked on, so that the frames can be watched coming in. A store that goes away half-way
-costs a sentence: the clip goes on, everything is tried once more at the end, and failing that the same command or
-`hfb record` completes the record later.
+It is written while the clip is processed, so that progress is visible. If the store fails on the way, the clip goes on;
+everything is tried once more at the end, and failing that the same command or `hfb record` completes the record later.
 """
 
 from __future__ import annotations
@@ -29,6 +28,13 @@ class ClipRecord:
     """The record of one clip."""
 
     def __init__(self, name: str, inputs: VideoInputs, config: RunConfig) -> None:
+        """Open the run; where the store fails, everything is kept for later.
+
+        Args:
+            name: of the run.
+            inputs: of the run.
+            config: all options.
+        """
         self._name, self._inputs, self._config = name, inputs, config
         self._params = {
             **config.model_dump(mode="json"),
@@ -51,14 +57,24 @@ class ClipRecord:
         self._try(self._open)
 
     def frames(self, metric: str, values: Mapping[int, float]) -> None:
-        """Points of some frames, frame -> value; kept until the end in case the store goes away."""
+        """Log values of some frames; they are kept until the end in case the store fails.
+
+        Args:
+            metric: its name.
+            values: frame -> value.
+        """
         self._points.setdefault(metric, {}).update(values)
         self._waiting += len(values)
         if self._reached and self._waiting >= _AT_ONCE:
             self._try(lambda: self._log(self._points))
 
     def finish(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> RunHandle | None:
-        """Everything that is still missing, and FINISHED; None where the store does not take it: see `keep`."""
+        """Log everything still missing, and set FINISHED; None where the store does not accept it: see `keep`.
+
+        Args:
+            files: of the result, by name.
+            result: content of result.json.
+        """
         self._reached = True
         self._unwatch()
         self._try(lambda: self._finish(files, result))
@@ -67,7 +83,13 @@ class ClipRecord:
         return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run))
 
     def keep(self, files: Mapping[str, FileHandle], result: Mapping[str, Any], folder: Path) -> FileHandle:
-        """Everything in a file, from which `hfb record` records the clip later."""
+        """Write everything into a file, from which `hfb record` records the clip later.
+
+        Args:
+            files: of the result, by name.
+            result: content of result.json.
+            folder: where the file goes.
+        """
         progress.say(f"not recorded in MLflow: `hfb record {result['out']}` records it when MLflow is back")
         kept = RunRecord(
             name=self._name,
@@ -81,14 +103,18 @@ class ClipRecord:
         return keep_for_later(kept, folder)
 
     def stop(self, status: str) -> None:
-        """FAILED or KILLED: the clip is not finished; the same command goes on in the same run."""
+        """Set FAILED or KILLED for an unfinished clip; the same command continues in the same run.
+
+        Args:
+            status: one of these.
+        """
         self._unwatch()
         run = self._run
         if run is not None and self._reached:
             self._try(lambda: tracking.end_run(run, status))
 
     def place(self) -> RunHandle | None:
-        """Where the run can be watched."""
+        """Return where the run can be watched."""
         return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run)) if self._run else None
 
     def _open(self) -> None:
@@ -96,7 +122,7 @@ class ClipRecord:
         self._unwatch = tracking.watch_machine(self._run)
 
     def _log(self, points: Mapping[str, Mapping[int, float]]) -> None:
-        """Points that the run does not have: an earlier start of the same command may have logged them."""
+        """Log points that the run lacks: an earlier start of the same command may have logged some."""
         run = self._run
         if run is None or run.complete:
             return

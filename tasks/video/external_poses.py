@@ -1,4 +1,4 @@
-"""First bodies out of another system's result."""
+"""First bodies from another system's result."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ class ResultHandle(FileHandle):
     """One person of another system's result, in hfb's conventions (`hfb.interop.readers.pose_track`).
 
     Attributes:
-        system: whose result it is.
-        frames: numbers of the frames in which it saw the person.
-        person: the system's name for them. others: of everybody else in it.
+        system: that made the result.
+        frames: numbers of the frames in which it has the person.
+        person: the system's name of the person.
+        others: the system's names of all others.
         rate_hz: of a motion with a clock of its own, see `PoseTrack`.
     """
 
@@ -31,7 +32,7 @@ class ResultHandle(FileHandle):
     rate_hz: float | None = None
 
     def remark(self) -> str | None:
-        """Whom of several it is about; None where there is one."""
+        """Return a sentence on which of several people it is; None where there is one."""
         if not self.others:
             return None
         count, shown = len(self.others), ", ".join(self.others[:8])
@@ -45,15 +46,15 @@ class ResultHandle(FileHandle):
     ) -> int:
         """Return which frame of the result a clip's frame is.
 
-        A motion of our own counts the clip's frames, one with a clock of its own the rows of its time, all others the
+        One of hfb's motions counts the clip's frames, one with a clock of its own the rows of its time, all others the
         video's frames.
 
         Args:
             number: of the frame in the clip.
-            first: of the result, where it is told.
+            first: number of the result's first frame, where the user gave it.
             began: first frame of the clip in the video.
-            average: how many frames of the video are one of the clip.
-            video_hz: frames per second of the video, before they are averaged.
+            average: number of video frames averaged into one frame of the clip.
+            video_hz: frames per second of the video, before averaging.
         """
         from hfb.interop.readers.systems import own
 
@@ -67,10 +68,14 @@ class ResultHandle(FileHandle):
         return round((began + middle) * rows_per_frame) if first is None else first + round(middle * rows_per_frame)
 
     def numbers_of(self, count: int, first: int | None) -> tuple[int, ...]:
-        """Which frames of the result the given pictures are.
+        """Return which frames of the result the given images are.
+
+        Args:
+            count: number of images.
+            first: number of the first image's frame; None where the user gave none.
 
         Raises:
-            InputError: it cannot be told.
+            InputError: the frames cannot be determined.
         """
         if first is not None:
             return tuple(range(first, first + count))
@@ -83,14 +88,14 @@ class ResultHandle(FileHandle):
 
 
 class Look(Record):
-    """A picture's matte, and the number of its frame in a result; None where only the pictures' order tells."""
+    """An image's matte and the number of its frame in a result; None where only the order identifies it."""
 
     matte: FileHandle
     frame: int | None
 
 
 def looks_at(footage: FootageHandle, mattes: Mapping[int, FileHandle], first: int | None) -> tuple[Look, ...]:
-    """Some of a clip's frames, by which one tells whom of a result's several people it is about.
+    """Select some of a clip's frames, which decide which of a result's people is meant.
 
     Args:
         footage: the clip.
@@ -108,12 +113,12 @@ def looks_at(footage: FootageHandle, mattes: Mapping[int, FileHandle], first: in
 def pictures_of(
     footage: FootageHandle, files: tuple[FileHandle, ...], first: int | None
 ) -> tuple[tuple[str, ...], int]:
-    """(names of a clip's pictures, frames of a video), by which a result's pictures are found in the clip.
+    """Return (names of a clip's images, frames of a video), by which a result's images are found in the clip.
 
     Args:
         footage: the clip.
         files: of the clip.
-        first: where --init.frame tells the numbers, names tell nothing.
+        first: number of the first frame, where the user gave it; names do not count then.
     """
     from hfb.tasks.video.video_clip import load_footage
 
@@ -130,8 +135,8 @@ class GivenBodyCall(SeenFrameCall):
 
     Attributes:
         footage: the clip.
-        result: the other system's.
-        first: number in the result of the clip's first frame; the result's are the video's own where it is None.
+        result: of the other system.
+        first: number in the result of the clip's first frame; None where the result counts the video's frames.
     """
 
     footage: FootageHandle
@@ -152,21 +157,21 @@ def read_result(
     frames: int,
     folder: Path,
 ) -> ResultHandle:
-    """Write everything about one person into a file that has only numbers in it.
+    """Write everything about one person into a file of numbers only.
 
     Args:
-        files: the result, then what lies beside it.
+        files: the result, then the files that belong to it.
         height: of the images [px].
         width: of the images [px].
-        person: the system's name; where it is None the one whom the looks show, or who is seen longest.
-        looks: images that show whom it is about.
+        person: the system's name; None for the one in ``looks``, or the one with most frames.
+        looks: mattes that decide which person is meant.
         body: the user's body model; None for the embedded one.
         pictures: names of the clip's files, in order; none of a video, or where --init.frame says the numbers.
-        frames: of a video, 0 where pictures are given.
+        frames: of a video, 0 where images are given.
         folder: where the file goes.
 
     Raises:
-        InputError: it cannot be read, is about other pictures, or has no such person.
+        InputError: it cannot be read, is about other images, or has no such person.
     """
     from hfb.interop.readers.image_names import ClipPictures
     from hfb.interop.readers.pose_track import PoseTrack, save_track
@@ -207,14 +212,14 @@ def body_of_result(
     body: FileHandle | None,
     folder: Path,
 ) -> BodyFound:
-    """Lay the body of one frame onto its matte; none where the system saw nobody.
+    """Align the body of one frame with its matte; None where the system has none.
 
     Args:
         clip: all frames.
         index: of the frame in the clip.
         number: of the frame in the result.
         mattes: of all frames.
-        result: the other system's.
+        result: of the other system.
         body: the user's body model; None for the embedded one.
         folder: where the body goes.
     """
@@ -241,7 +246,11 @@ def body_of_result(
 
 @task("first bodies of the result", where="worker")
 def find_given_body(call: GivenBodyCall) -> BodyFound:
-    """As `body_of_result`, of one frame of a clip."""
+    """Find the body of one frame of a clip, as `body_of_result` does.
+
+    Args:
+        call: the frame.
+    """
     from hfb.tasks.video.video_clip import load_footage
 
     known = load_footage(call.footage)
@@ -260,7 +269,10 @@ def find_given_body(call: GivenBodyCall) -> BodyFound:
 
 
 def require(found: BodyFound) -> FirstBodyHandle:
-    """Return the body that a fit without neighbours cannot do without.
+    """Return the body; a fit without neighbours cannot do without.
+
+    Args:
+        found: of the frame.
 
     Raises:
         InputError: there is none.

@@ -1,4 +1,4 @@
-"""The tasks of a clip as a whole: what is known about it, its background, and whom it is about."""
+"""The tasks of a clip as a whole: its description, its background, and its people."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 def look_at_clip(
     *, inputs: VideoInputs, average: int, camera: CameraConfig, exposure: ExposureConfig, folder: Path
 ) -> FootageHandle:
-    """Decode everything once: how many frames there are, when and how they were taken, and what is wrong with them.
+    """Decode everything once: number of frames, when and how they were taken, and their defects.
 
     Args:
-        inputs: what the user handed over.
-        average: how many frames of the video are one frame of the clip.
+        inputs: of the run.
+        average: number of video frames averaged into one frame of the clip.
         camera: options of the camera.
         exposure: options of the exposure.
         folder: where the description goes.
 
     Raises:
-        InputError: not one frame can be decoded, or what is told about the clip does not fit it.
+        InputError: no frame can be decoded, or clip.toml or an option does not fit the clip.
     """
     from hfb.io.media.footage import open_footage
     from hfb.io.media.lens.clip_lens import clip_lens
@@ -91,12 +91,12 @@ def find_background(
 
     Args:
         footage: the clip.
-        how: where it comes from.
-        given: the user's own image of it.
+        how: origin of the plate.
+        given: the user's plate.
         folder: where it goes.
 
     Raises:
-        InputError: there is no stretch in which nobody moves, or the plate still holds the person, or is of another
+        InputError: there is no section without motion, or the plate contains the person, or is of another
             camera or size.
     """
     from hfb.io.media.images.image_io import write_png
@@ -117,7 +117,7 @@ def find_background(
 def find_person(
     footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
 ) -> TrackHandle:
-    """Find where the chosen person is in every frame.
+    """Find the position of the chosen person in every frame.
 
     Args:
         footage: the clip.
@@ -126,7 +126,7 @@ def find_person(
         track: the user's own file of tracks.
 
     Raises:
-        InputError: the chosen one is not there.
+        InputError: the chosen person is not in the clip.
     """
     from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.gap_looks import look_into_gaps
@@ -150,7 +150,7 @@ def find_person(
 
 @task("everyone's tracks", where="worker")
 def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
-    """Find who is there, each with the choice that takes that one.
+    """Find all people of the clip, each with the option that selects them.
 
     Args:
         footage: the clip.
@@ -158,7 +158,7 @@ def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle 
         track: the user's own file of tracks.
 
     Raises:
-        InputError: nobody is.
+        InputError: there is no person.
     """
     from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.tracks import choose_everyone, find_tracks, read_track, read_track_names
@@ -179,7 +179,11 @@ def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle 
 
 
 def load_footage(handle: FootageHandle) -> Footage:
-    """What the pictures of a clip are read with."""
+    """Return the reader of a clip's images.
+
+    Args:
+        handle: the clip.
+    """
     from hfb.io.media.footage import Footage
 
     return Footage(**_numbers(_content(handle.path, handle.sha256)["footage"]))
@@ -187,10 +191,15 @@ def load_footage(handle: FootageHandle) -> Footage:
 
 @contextmanager
 def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> Iterator[Footage]:
-    """What the pictures of a clip are read with, of which frames `start` to `stop` are wanted.
+    """Provide the reader of a clip's images inside the block.
+
+    Args:
+        handle: the clip.
+        start: first frame that will be read.
+        stop: end of the frames that will be read; None for the clip's end.
 
     Raises:
-        StaleFile: the video, or a picture of these frames, is no longer what it was, or was replaced meanwhile.
+        StaleFile: the video, or an image of these frames, is no longer what it was, or was replaced meanwhile.
     """
     footage = load_footage(handle)
     given = _content(handle.path, handle.sha256)["given"]
@@ -202,7 +211,11 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
 
 
 def load_timing(handle: FootageHandle) -> Timing:
-    """The clock of a clip."""
+    """Return the times of a clip's frames.
+
+    Args:
+        handle: the clip.
+    """
     from hfb.io.media.timing import Timing
 
     return Timing(**_numbers(_content(handle.path, handle.sha256)["timing"]))
@@ -210,12 +223,12 @@ def load_timing(handle: FootageHandle) -> Timing:
 
 @functools.lru_cache(maxsize=1)
 def _content(path: Path, sha256: str) -> dict[str, Any]:
-    """Of footage.json; a folder of ten thousand pictures makes it megabytes, which every sixteen frames ask for."""
+    """Read footage.json, cached: for a folder of ten thousand images it has megabytes and is read for every chunk."""
     return dict(json.loads(path.read_bytes()))
 
 
 def _clip_frames(footage: FootageHandle) -> ClipFrames:
-    """Which of the video's frames the clip's are."""
+    """Return the numbers of the clip's frames in the video."""
     from hfb.tracking.tracks import ClipFrames
 
     known = load_footage(footage)
@@ -223,7 +236,7 @@ def _clip_frames(footage: FootageHandle) -> ClipFrames:
 
 
 def _plain(record: Any) -> dict[str, Any]:
-    """A frozen record of paths, numbers and rows of numbers as JSON."""
+    """Return a frozen record of paths, numbers and rows of numbers as JSON."""
     return {field.name: _as_json(getattr(record, field.name)) for field in fields(record)}
 
 

@@ -26,11 +26,11 @@ class ExtractCall(Call):
 
 
 class MatteCall(FrameCall):
-    """A frame whose matte is asked for.
+    """A frame whose matte is to be estimated.
 
     Attributes:
-        box: where the person is.
-        alone: whether nobody else is seen in the clip.
+        box: of the person [px].
+        alone: whether the person is the only one in the clip.
         config: options of the matte.
         network: the user's own, for methods that need one.
     """
@@ -42,11 +42,11 @@ class MatteCall(FrameCall):
 
 
 class KeyBodyCall(SeenFrameCall):
-    """A key frame, whose first body is looked for from nothing.
+    """A key frame, whose first body is estimated without neighbours.
 
     Attributes:
         config: options of the first body.
-        networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
+        networks: the installed pose networks, or METRO's; others give a new estimate.
     """
 
     config: InitConfig
@@ -65,7 +65,11 @@ class BetweenCall(SeenFrameCall):
 
 @task("frames", where="worker")
 def extract_frames(call: ExtractCall) -> FramesHandle:
-    """Write some frames as images, so that no later step has to read the video."""
+    """Write some frames as images, so that no later step has to read the video.
+
+    Args:
+        call: the frames.
+    """
     from hfb.io.media.images.image_io import write_png
     from hfb.tasks.video.video_clip import reading
 
@@ -84,7 +88,11 @@ def extract_frames(call: ExtractCall) -> FramesHandle:
 
 @task("mattes", where="cluster")
 def find_matte(call: MatteCall) -> MatteHandle:
-    """Estimate the matte of one frame; a frame without anybody is a gap, and no failure."""
+    """Estimate the matte of one frame; a frame without a person is a gap, not a failure.
+
+    Args:
+        call: the frame.
+    """
     import numpy as np
 
     from hfb.io.media.images.image_io import write_matte
@@ -108,17 +116,21 @@ def find_matte(call: MatteCall) -> MatteHandle:
 
 @task("first bodies", where="cluster")
 def find_key_body(call: KeyBodyCall) -> BodyFound:
-    """Estimate the first body of a key frame."""
+    """Estimate the first body of a key frame.
+
+    Args:
+        call: the frame.
+    """
+    from hfb.initialization.fronts import front_doubts
     from hfb.initialization.initializer import make_initializer
     from hfb.tasks.core.scene import load_chosen_body, load_observation
-    from hfb.tracking.clip_bodies import front_doubt
 
     check_networks(call.config, call.networks)
     initializer = make_initializer(with_pose_network(call.config, call.networks))
     seen, model = load_observation(call.still, (call.matte,)), load_chosen_body(call.body)
     try:
         found = initializer(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
-        doubt = front_doubt(seen, found, model)
+        doubt = float(front_doubts(seen, [found], model)[0])
     except InputError as error:
         return BodyFound(first=None, reason=str(error))
     return BodyFound(first=write_body(call.folder / f"key_body_{call.number:06d}.npz", found, doubt))
@@ -126,7 +138,11 @@ def find_key_body(call: KeyBodyCall) -> BodyFound:
 
 @task("first bodies between", where="cluster")
 def find_body_between(call: BetweenCall) -> BodyFound:
-    """Estimate the first body of a frame from the bodies of the key frames around it."""
+    """Estimate the first body of a frame from the bodies of the key frames around it.
+
+    Args:
+        call: the frame.
+    """
     from hfb.motion.static_pose import load_first_body
     from hfb.tasks.core.scene import load_chosen_body, load_observation
     from hfb.tracking.clip_bodies import body_between
@@ -141,7 +157,13 @@ def find_body_between(call: BetweenCall) -> BodyFound:
 
 
 def write_body(path: Path, found: FirstBody, doubt: float = 0.0) -> FirstBodyHandle:
-    """Write a first body and return its handle."""
+    """Write a first body and return its handle.
+
+    Args:
+        path: the file.
+        found: the body.
+        doubt: see `FirstBodyHandle`.
+    """
     from hfb.motion.static_pose import save_first_body
 
     save_first_body(path, found)

@@ -26,7 +26,7 @@ class ScoreCall(Call):
         numbers: of the frames in the clip.
         mattes: of these frames.
         motion: of the whole clip.
-        person: who it is.
+        person: shape and texture of the person.
         body: the user's body model; None for the embedded one.
         config: options of the fit.
     """
@@ -42,7 +42,11 @@ class ScoreCall(Call):
 
 @task("scores", where="cluster")
 def score_frames(call: ScoreCall) -> FrameScoresHandle:
-    """Score frame by frame: IoU with the matte and PSNR of the re-blurred image, always with the exact silhouette."""
+    """Score frame by frame: IoU with the matte and PSNR of the re-blurred image, always with the exact silhouette.
+
+    Args:
+        call: the frames.
+    """
     from hfb.evaluation.protocol import picture_scores, reblur
     from hfb.fitting.identity import load_identity
     from hfb.motion.motion_file import load_motion
@@ -105,14 +109,14 @@ def draw_clip(
     note: str,
     folder: Path,
 ) -> FileHandle:
-    """Draw some of the clip's frames: what was seen, and how the motion explains it.
+    """Draw some of the clip's frames: the input, and how the motion explains it.
 
     Args:
         clip: these frames alone.
         numbers: of the frames in the clip.
         mattes: of these frames.
         motion: of the whole clip.
-        person: who it is.
+        person: shape and texture of the person.
         body: the user's body model; None for the embedded one.
         config: options of the fit.
         note: a line below the strip.
@@ -143,7 +147,7 @@ def draw_texture(light: Literal["srgb", "linear"], person: FileHandle, folder: P
 
     Args:
         light: the texture's.
-        person: who it is.
+        person: shape and texture of the person.
         folder: where it goes.
     """
     from hfb.fitting.identity import load_identity
@@ -157,7 +161,12 @@ def draw_texture(light: Literal["srgb", "linear"], person: FileHandle, folder: P
 
 
 def only_frames(motion: SampledMotion, numbers: tuple[int, ...]) -> SampledMotion:
-    """Return some frames of a motion, numbered from 0 in the order given."""
+    """Return some frames of a motion, numbered from 0 in the order given.
+
+    Args:
+        motion: of the whole clip.
+        numbers: of the frames.
+    """
     import numpy as np
 
     rows = [motion.rows_of(number) for number in numbers]

@@ -10,7 +10,7 @@ from pathlib import Path
 from hfb.config import FitConfig
 from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
-from hfb.tasks.core.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, WindowHandle
+from hfb.tasks.core.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, SeenFrameCall, WindowHandle
 from hfb.tasks.task import BatchFunction, Where, task
 
 
@@ -25,9 +25,10 @@ class WindowCall(Call):
         firsts: first bodies of the window's frames.
         body: the user's body model; None for the embedded one.
         priors: of pose and motion.
-        person: who it is, where that is known.
+        person: shape and texture of the person, where they are known.
+        turned: the first bodies were mirrored because both fronts were weighed.
         config: options of the fit.
-        seed: of everything that is random.
+        seed: of the random numbers.
         folder: where the fit goes.
     """
 
@@ -39,9 +40,20 @@ class WindowCall(Call):
     body: FileHandle | None
     priors: PriorsHandle
     person: FileHandle | None
+    turned: bool = False
     config: FitConfig
     seed: int
     folder: Path
+
+
+class MirrorCall(SeenFrameCall):
+    """A frame whose first body is to face the other way.
+
+    Attributes:
+        first: the body as found.
+    """
+
+    first: FirstBodyHandle
 
 
 @task("fronts and backs", where="worker")
@@ -53,9 +65,9 @@ def mend_fronts(numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], f
         firsts: their bodies.
         folder: where the new bodies go, in the order of ``numbers``.
     """
+    from hfb.initialization.fronts import agree_on_front
     from hfb.motion.static_pose import load_first_body
     from hfb.tasks.video.video_frames import write_body
-    from hfb.tracking.clip_bodies import agree_on_front
 
     found = agree_on_front(
         {n: load_first_body(one.path) for n, one in zip(numbers, firsts, strict=True)},
@@ -63,6 +75,23 @@ def mend_fronts(numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], f
     )
     agreed = tuple(write_body(folder / f"agreed_body_{number:06d}.npz", found[number]) for number in numbers)
     return ClipBodiesHandle(firsts=agreed, filled=(False,) * len(agreed), usable=(True,) * len(agreed))
+
+
+@task("other front", where="cluster")
+def mirror_body(call: MirrorCall) -> FirstBodyHandle:
+    """Mirror a frame's first body in depth and lay it onto the matte.
+
+    Args:
+        call: the frame and its body.
+    """
+    from hfb.initialization.fronts import lay_on_mirrored
+    from hfb.motion.static_pose import load_first_body
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
+    from hfb.tasks.video.video_frames import write_body
+
+    seen, model = load_observation(call.still, (call.matte,)), load_chosen_body(call.body)
+    turned = lay_on_mirrored(load_first_body(call.first.path), seen, 0, model)
+    return write_body(call.folder / f"mirrored_body_{call.number:06d}.npz", turned)
 
 
 @task("missed frames", where="worker")
@@ -79,7 +108,7 @@ def fill_bodies(
     Args:
         numbers: of the frames with a body.
         firsts: their bodies.
-        present: for every frame of the clip whether somebody is seen.
+        present: for every frame of the clip whether a person is visible.
         longest_fill: how many frames without a body are filled from their neighbours.
         folder: where the new bodies go.
     """
@@ -106,7 +135,7 @@ def fill_bodies(
 
 
 def _gpu_batch_size(call: WindowCall) -> int:
-    """How many windows are one problem for a GPU."""
+    """Return how many windows are one problem on a GPU."""
     from hfb.fitting.clip.windows import window_batch_size
 
     return window_batch_size(call.config)
@@ -116,25 +145,25 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
     """Fit windows of one clip with the same options as one problem."""
     from hfb.fitting.clip.windows import ClipWindow, WindowScene, fit_windows, save_window
     from hfb.fitting.identity import load_identity
+    from hfb.initialization.fronts import find_other_front
     from hfb.motion.static_pose import load_first_body
     from hfb.priors.load import load_pose_prior
     from hfb.priors.motion_prior import load_motion_prior
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     shared = calls[0]
-    scenes = [
-        WindowScene(
-            ClipWindow(call.frames, call.segment),
-            load_observation(call.clip, call.mattes),
-            [load_first_body(first.path) for first in call.firsts],
-            load_identity(call.person.path) if call.person else None,
-        )
-        for call in calls
-    ]
+    model = load_chosen_body(shared.body)
+    scenes = []
+    for call in calls:
+        seen = load_observation(call.clip, call.mattes)
+        firsts = [load_first_body(first.path) for first in call.firsts]
+        identity = load_identity(call.person.path) if call.person else None
+        other = find_other_front(seen, firsts, model) if call.config.both_fronts else None
+        scenes.append(WindowScene(ClipWindow(call.frames, call.segment), seen, firsts, identity, other))
     pose, motion = shared.priors.pose, shared.priors.motion
     fits = fit_windows(
         scenes,
-        load_chosen_body(shared.body),
+        model,
         shared.config,
         seed=shared.seed,
         pose_prior=load_pose_prior(pose.path if pose else None, shared.priors.kind),
@@ -142,9 +171,19 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
     )
     handles = []
     for call, found in zip(calls, fits, strict=True):
-        path = call.folder / f"{'window' if call.person else 'person_window'}_{found.frames[0]:06d}.npz"
+        kind = "window" if call.person else "person_window_turned" if call.turned else "person_window"
+        path = call.folder / f"{kind}_{found.frames[0]:06d}.npz"
         save_window(path, found)
-        handles.append(WindowHandle.of(path, frames=found.frames, segment=found.segment, loss=found.loss))
+        handles.append(
+            WindowHandle.of(
+                path,
+                frames=found.frames,
+                segment=found.segment,
+                loss=found.loss,
+                mirrored=found.mirrored,
+                front_log_odds=found.front_log_odds,
+            )
+        )
     return handles
 
 
@@ -154,7 +193,11 @@ def _needs(call: WindowCall) -> Where:
 
 @task("windows", where=_needs, batch=BatchFunction(_gpu_batch_size, _fit_windows))
 def fit_clip_window(call: WindowCall) -> WindowHandle:
-    """Fit one window, with the clip's person where it is known."""
+    """Fit one window, with the clip's person where it is known.
+
+    Args:
+        call: the window.
+    """
     return _fit_windows([call])[0]
 
 
@@ -188,15 +231,15 @@ def join_clip(
     longest_fill: int,
     folder: Path,
 ) -> JoinedHandle:
-    """Join all windows into one continuous motion; short stretches without anybody are bridged.
+    """Join all windows into one continuous motion; short stretches without a person are bridged.
 
     Args:
         footage: the clip.
         windows: fitted with the person.
-        person: who it is.
+        person: shape and texture of the person.
         body: the user's body model; None for the embedded one.
         subframes: per frame.
-        longest_fill: how many frames without anybody are bridged.
+        longest_fill: how many frames without a person are bridged.
         folder: where the motion goes.
     """
     import numpy as np

@@ -1,8 +1,7 @@
-"""Computations on machines that are there already: those of a Dask or a Ray cluster, found at its address.
+"""Computations on the machines of an existing Dask or Ray cluster.
 
-What travels is a function's name and its handles. Where a store is given the files travel through it: the worker needs
-nothing but the URL, and this machine gets what came out. Whoever may talk to such a cluster may run code on it: see
-SECURITY.md.
+A call sends a function's name and its handles. With a store the files travel through it: a worker needs nothing but the
+URL, and this machine gets the results. Whoever may talk to such a cluster may run code on it: see SECURITY.md.
 """
 
 from __future__ import annotations
@@ -36,24 +35,32 @@ _CACHE_BYTES = 2 << 30
 class _Members(Protocol):
     """A cluster's workers, each with one thread."""
 
-    def count(self) -> int: ...
-    def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R: ...
-    def close(self) -> None: ...
+    def count(self) -> int:
+        """Number of workers."""
+
+    def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return a function's result from one of the workers."""
+
+    def close(self) -> None:
+        """Leave the cluster."""
 
 
 class Cluster:
     """Runs functions of handles elsewhere, any number at a time.
 
     Attributes:
-        count: workers when it was found.
-        busy_s: for how long they computed, together.
+        count: workers at the start.
+        busy_s: their total computing time [s].
     """
 
     def __init__(self, engine: Engine) -> None:
-        """Find the cluster.
+        """Connect to the cluster.
+
+        Args:
+            engine: kind, address and store.
 
         Raises:
-            InputError: the library is missing, nobody answers, or nobody works there.
+            InputError: the library is missing, the cluster does not answer, or it has no workers.
         """
         self._store = engine.store
         if self._store:
@@ -86,7 +93,7 @@ class Cluster:
         return value
 
     def close(self) -> None:
-        """Leave it, whatever it still computes for us."""
+        """Leave the cluster, whatever it still computes."""
         with self._lock:
             closed, self._closed = self._closed, True
         if not closed:
@@ -94,6 +101,8 @@ class Cluster:
 
 
 class _Dask:
+    """Workers of a Dask cluster."""
+
     def __init__(self, address: str) -> None:
         try:
             from distributed import Client
@@ -107,6 +116,7 @@ class _Dask:
         self._address, self._running = address, set[Any]()
 
     def count(self) -> int:
+        """Number of workers."""
         try:
             self._client.wait_for_workers(1, timeout=_ANSWER_S)
         except TimeoutError:
@@ -116,6 +126,7 @@ class _Dask:
         return sum(self._client.nthreads().values())
 
     def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return a function's result from one of the workers."""
         from distributed.client import FutureCancelledError
         from distributed.scheduler import KilledWorker
 
@@ -131,11 +142,14 @@ class _Dask:
             self._running.discard(future)
 
     def close(self) -> None:
+        """Leave the cluster."""
         self._client.cancel(list(self._running), force=True)
         self._client.close(timeout=5)
 
 
 class _Ray:
+    """Workers of a Ray cluster."""
+
     def __init__(self, address: str) -> None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         try:
@@ -151,9 +165,11 @@ class _Ray:
         self._running: set[Any] = set()
 
     def count(self) -> int:
+        """Number of workers."""
         return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return a function's result from one of the workers."""
         errors = self._ray.exceptions
         distant = self._ray.remote(num_cpus=1, num_gpus=int(gpu), max_retries=_RETRIES)(function)
         reference = distant.remote(*args, **kwargs)
@@ -169,6 +185,7 @@ class _Ray:
             self._running.discard(reference)
 
     def close(self) -> None:
+        """Leave the cluster."""
         for reference in list(self._running):
             self._ray.cancel(reference, force=True)
         self._ray.shutdown()
@@ -202,14 +219,14 @@ def _compute_away(store: str | None, code: str, function: Callable[[Call], R], c
 
 
 def _as_called_there(file: FileHandle, folder: Path, given: dict[tuple[str, str], Path]) -> FileHandle:
-    """By its place in the folder, or, of a file that was given, by the name that it has where it comes from."""
+    """Return a file by its place in the folder, or, for an input, by its original name."""
     made = file.path.is_relative_to(folder)
     path = file.path.relative_to(folder) if made else given[file.sha256, file.path.name]
     return file.model_copy(update={"path": path})
 
 
 class _Cache:
-    """A worker's own copies, by content; thrown away when they are many and nobody uses them."""
+    """A worker's own copies of files, by content; cleared when they are large and unused."""
 
     def __init__(self) -> None:
         self._lock, self._users = threading.Lock(), 0

@@ -1,4 +1,4 @@
-"""Where what computes runs: processes or threads of this machine, or a Dask or Ray cluster that is there already."""
+"""Where computations run: processes or threads of this machine, or an existing Dask or Ray cluster."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ R = TypeVar("R")
 
 
 class WorkerLost(Exception):
-    """A worker died, more than once, or can no longer be reached."""
+    """A worker died repeatedly, or can no longer be reached."""
 
 
 class Stopped(Exception):
-    """The workers were told to stop: nobody waits for this computation any more."""
+    """The workers were stopped; the result of this computation is no longer needed."""
 
 
 @dataclass(frozen=True)
 class Engine:
-    """What `--workers` says; it changes no digit.
+    """The option `--workers`; it changes no digit of a result.
 
     Attributes:
-        count: processes or threads of this machine. A cluster has its own workers; this machine then has one for
-            what cannot leave it.
+        count: processes or threads of this machine. With a cluster, this machine has one for work that must stay here.
         address: of the cluster.
-        store: a URL where files lie for workers that do not see this machine's; see tasks/workers/shared_store.py.
+        store: a URL of files for workers that do not share this machine's disk; see tasks/workers/shared_store.py.
     """
 
     kind: Kind = "processes"
@@ -40,12 +39,16 @@ class Engine:
 
     @property
     def remote(self) -> bool:
-        """Whether others than this machine compute."""
+        """Whether other machines compute."""
         return self.kind in _CLUSTERS
 
 
 def engine_of(words: str | int, store: str | None = None) -> Engine:
-    """What a user writes: ``4``, ``threads:4``, ``dask:tcp://host:8786`` or ``ray:auto``; and where files are shared.
+    """Parse the options: ``4``, ``threads:4``, ``dask:tcp://host:8786`` or ``ray:auto``; and the shared store.
+
+    Args:
+        words: of `--workers`.
+        store: of `--store`.
 
     Raises:
         InputError: it is none of these, or a store is given without a cluster.
@@ -68,6 +71,10 @@ def engine_of(words: str | int, store: str | None = None) -> Engine:
 
 
 def bare(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the bare function of a task, which is sent by its name; any other function as it is."""
+    """Return the bare function of a task, which is sent by its name; any other function as it is.
+
+    Args:
+        function: a function, or a task.
+    """
     found: Callable[P, R] = getattr(function, "fn", function)
     return found

@@ -1,7 +1,7 @@
-"""Files for workers that do not see each other's disks: each under its own content's hash, behind a URL.
+"""Files for workers that do not share disks: each under its content's hash, behind a URL.
 
-A worker needs nothing but the URL: it takes what a call names, works in a folder of its own, and leaves what came out.
-Any filesystem that Arrow speaks will do (``s3://bucket/prefix?endpoint_override=host:9000``, ``gs://``, ``file:///``);
+A worker needs nothing but the URL: it fetches the files of a call, works in a folder of its own, and uploads the
+results. Any filesystem of Arrow works (``s3://bucket/prefix?endpoint_override=host:9000``, ``gs://``, ``file:///``);
 credentials come from where that filesystem looks for them, never from the URL.
 """
 
@@ -28,26 +28,37 @@ _BLOCK_BYTES = 1 << 20
 
 
 class SharedStore:
-    """Puts files there and takes them from there; a file that is there is never written again."""
+    """Uploads and downloads files; an existing file is never written again."""
 
     def __init__(self, url: str) -> None:
         """Open the store.
 
+        Args:
+            url: of the store, without a password.
+
         Raises:
-            InputError: the URL names no place that can be used, or holds a password.
+            InputError: the URL cannot be used, or holds a password.
         """
         self._fs, self._root = _open(url)
         self._known: set[str] = set()
 
     def put(self, value: object) -> None:
-        """All files that a handle, or a sequence of handles, names."""
+        """Upload all files that a handle, or a sequence of handles, names.
+
+        Args:
+            value: handles.
+        """
         for file in files_in(value):
             if file.sha256 not in self._known:
                 self._put(file)
                 self._known.add(file.sha256)
 
     def take(self, value: T, place: Callable[[FileHandle], Path]) -> T:
-        """The same handles, of files that now lie where ``place`` says.
+        """Download files; returns the same handles with the files' new places.
+
+        Args:
+            value: handles.
+            place: returns the place for a file.
 
         Raises:
             StaleFile: a file is gone, or is not what its handle says.
@@ -100,5 +111,9 @@ def _open(url: str) -> tuple[FileSystem, str]:
 
 @functools.cache
 def shared_store(url: str) -> SharedStore:
-    """The store behind a URL, opened once per process."""
+    """Return the store behind a URL, opened once per process.
+
+    Args:
+        url: of the store.
+    """
     return SharedStore(url)

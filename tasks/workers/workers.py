@@ -1,4 +1,4 @@
-"""Worker processes for what computes: a fit holds Python's lock too long for two of them to share a process.
+"""Worker processes for computations: a fit holds Python's lock too long for two of them to share a process.
 
 Prefect's own process runner costs seconds per flow and 130 ms per task, so its tasks stay threads and hand the
 computation itself, a plain function of handles, to a few processes that live as long as the flow. The result does
@@ -37,11 +37,11 @@ _ATTEMPTS = 3
 _log = logging.getLogger(__name__)
 _LAST_WORDS_S = 0.5
 _PARENT_ONLY = ("hfb.flows", "hfb.tasks.tracking", "hfb.kernels.warp")
-"""Modules that no worker needs, or that start threads when they are imported."""
+"""Modules that workers do not need, or that start threads when they are imported."""
 
 
 class _Pool:
-    """Processes that are replaced when one of them dies, by the kernel's hand when memory runs out, say."""
+    """Worker processes; one that dies, such as from lack of memory, is replaced."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -58,6 +58,7 @@ class _Pool:
         return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=begin)
 
     def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return a function's result from one of the processes."""
         for _ in range(_ATTEMPTS):
             executor = self._executor
             try:
@@ -87,6 +88,7 @@ class _Pool:
 
     def close(self) -> None:
         # What still computes has no one to give it to: an interrupted flow must not wait for it.
+        """End the processes without waiting for their computations."""
         with self._lock:
             self._closed = True
             processes = list((self._executor._processes or {}).values())
@@ -99,7 +101,7 @@ class _Pool:
 
 
 def _fork_server() -> multiprocessing.context.ForkServerContext:
-    """Start workers as forks of a process that has imported what computes and has no threads.
+    """Start workers as forks of a process that has imported the method and has no threads.
 
     A fork of this process would inherit locks that its threads hold; a fresh process takes seconds to import torch.
     """
@@ -110,7 +112,7 @@ def _fork_server() -> multiprocessing.context.ForkServerContext:
 
 
 class _Records:
-    """What workers log, said by this process: its handlers know the log file and the display."""
+    """Receives the workers' log records: this process's handlers know the log file and the display."""
 
     def __init__(self, context: multiprocessing.context.ForkServerContext) -> None:
         self._reader, writer = context.Pipe(duplex=False)
@@ -130,24 +132,32 @@ class _Records:
             self._reader.close()  # whoever still speaks is told so, and does not wait
 
     def close(self) -> None:
+        """Stop listening."""
         self._end.send(None)
         self._thread.join(_LAST_WORDS_S)
 
 
 class _RecordQueue:
-    """A worker's end. A record is on its way when `put_nowait` returns, so before the result that it precedes:
-    a queue with a thread of its own loses what a worker said last before it is ended."""
+    """A worker's end of the log: a record is sent when `put_nowait` returns, before the result that follows it.
+
+    A queue with a thread of its own loses a worker's last records before it is ended.
+    """
 
     def __init__(self, writer: multiprocessing.connection.Connection, lock: multiprocessing.synchronize.Lock) -> None:
         self._writer, self._lock = writer, lock
 
     def put_nowait(self, record: logging.LogRecord) -> None:
+        """Send a record.
+
+        Args:
+            record: of the log.
+        """
         with self._lock, suppress(OSError):  # nobody listens any more
             self._writer.send(record)
 
 
 class _Utilisation:
-    """How long steps over many inputs took, and how busy the workers were in them."""
+    """Duration of steps over many inputs, and the workers' computing time in them."""
 
     def __init__(self) -> None:
         self.seconds, self.busy_s = 0.0, 0.0
@@ -161,12 +171,12 @@ _mapped = _Utilisation()
 
 @contextmanager
 def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
-    """Computations inside run where the engine says; a number is one of processes.
+    """Run computations inside the block where the engine says.
 
     Args:
-        engine: what computes.
-        apart: a single worker is a process too, which can be stopped, and whose memory is not this process's;
-            otherwise one means this process itself.
+        engine: a number is one of processes.
+        apart: whether a single worker is a process, too, which can be stopped and has its own memory; otherwise it is
+            this process.
 
     Raises:
         InputError: a cluster cannot be used.
@@ -190,14 +200,14 @@ def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
 
 
 def worker_count() -> int:
-    """How many compute at a time."""
+    """Return the number of workers."""
     pool = _cluster or _pool
     return pool.count if pool else _threads
 
 
 @contextmanager
 def measure_utilisation() -> Iterator[None]:
-    """Count what is computed inside as a step over many inputs, meant to keep every worker busy."""
+    """Count the computations inside the block as a step over many inputs."""
     pool = _cluster or _pool
     if pool is None:
         yield
@@ -211,9 +221,9 @@ def measure_utilisation() -> Iterator[None]:
 
 
 def busy_share() -> float | None:
-    """The share of the workers' time in which they computed, of steps over many inputs; None where there was none.
+    """Return the workers' utilisation in steps over many inputs; None where there was none.
 
-    What is missing of 1 is the cost of orchestration, and the wait for the last of each step.
+    The rest is the cost of orchestration, and the wait for the last input of each step.
     """
     return round(_mapped.busy_s / (worker_count() * _mapped.seconds), 4) if _mapped.seconds else None
 
@@ -224,7 +234,7 @@ def remote() -> bool:
 
 
 def stop_computing() -> None:
-    """End what computes right now: a flow that was interrupted must not wait for it. Its tasks fail with Stopped."""
+    """End all computations: an interrupted flow must not wait for them. Their tasks fail with Stopped."""
     if _cluster:
         _cluster.close()
     if _pool:
@@ -232,7 +242,7 @@ def stop_computing() -> None:
 
 
 def run_local(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-    """Return the function's result, from a worker process of this machine where there are some.
+    """Return a function's result, from a worker process of this machine where there are some.
 
     Args:
         function: a function of a module, or a task (`hfb.tasks.task`), of which the bare function runs.
@@ -246,10 +256,10 @@ def run_local(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
 
 
 def run_remote(function: Callable[..., R], call: Call, gpu: bool = False) -> R:
-    """As `run_local`, for one of many inputs: from a cluster's worker where there is one.
+    """Run a function on one of many inputs: on a cluster's worker where there is one, else as `run_local`.
 
-    Such a function reads nothing but the files of the call's handles, and names no file but those and what it writes
-    into the call's ``folder``.
+    Such a function reads only the files of the call's handles, and names only those and the files that it writes into
+    the call's ``folder``.
 
     Args:
         function: as of `run_local`.
@@ -283,7 +293,7 @@ def _begin(records: Any, environment: dict[str, str]) -> None:
 
 
 def _end_with_parent() -> None:
-    """No orphans, at once: a parent that was killed cannot tell its workers, and nobody hears of what they make."""
+    """End with the parent process: a killed parent cannot stop its workers."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     multiprocessing.connection.wait([parent.sentinel])

@@ -76,7 +76,7 @@ def memory(iterations: int) -> None:
 
 
 def peak_mb() -> float:
-    """Of this process since its start. (ru_maxrss would count the parent's memory before exec.)"""
+    """Return this process's peak since its start (ru_maxrss would count the parent's memory before exec)."""
     status = Path("/proc/self/status")
     if status.exists():
         line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))

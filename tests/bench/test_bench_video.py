@@ -16,9 +16,11 @@ from tests.bench.figures import Figures
 
 
 def test_video(scale: Scale, figures: Figures, tmp_path: Path) -> None:
-    """Windows of 2. The first run in a new place also sets up Prefect's and MLflow's databases, which is no matter of
-    the clip: a clip of two frames does that before. QUICK=1 has time for one clip of two small frames, in which what
-    is done once for the whole clip weighs most."""
+    """Windows of 2 frames.
+
+    The first run in a new folder also creates Prefect's and MLflow's databases: a clip of two frames does that before.
+    QUICK=1 has time for one clip of two small frames only, where the costs per clip dominate.
+    """
     if not scale.measures:
         pytest.skip("make bench; tests/flows has whole clips")
     height = 480 if scale.clip_frames > 2 else 240

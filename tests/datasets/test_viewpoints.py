@@ -60,8 +60,10 @@ def test_front_follows_the_turn_of_the_person() -> None:
 
 
 def test_the_motion_in_the_camera_is_the_motion_seen() -> None:
-    """Bodies posed in the world and looked at agree with bodies posed in camera coordinates: SMPL's root turns about
-    the pelvis at rest."""
+    """Bodies posed in the world and then seen agree with bodies posed in camera coordinates.
+
+    SMPL's root turns about the pelvis at rest.
+    """
     body = load_default_body(torch.float64)
     rng = np.random.default_rng(2)
     betas = torch.from_numpy(rng.normal(size=10))

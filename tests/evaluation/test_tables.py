@@ -316,12 +316,12 @@ def test_real_video_is_told_by_recording_exposure_and_camera():
     assert (whole["better_motion_ratio"], whole["path_share"], whole["n_motion"]) == (0.4, 0.6, 16)
 
     page = table_markdown(summary)
-    tables = page.split("## By recording and K")[1].split("## In the picture")[0]
+    tables = page.split("## By recording and K")[1].split("## Position, front")[0]
     assert "| recording | method | K = 5 | K = 9 | all K |" in tables
     low, high = gym["mpjpe_ci95"]
     assert f"|  | best | 54.5 [{low:.0f},\u00a0{high:.0f};\u00a0n\u00a08] | – |" in tables
     assert "| park | start (static) | 110.5 (n\u00a04) | 114.5 (n\u00a04) |" in tables
-    moved = page.split("## In the picture")[1].split("## The same by camera")
+    moved = page.split("## Position, front")[1].split("## The same by camera")
     assert "| best | 16 | 58.5\u00a0/\u00a040.0 | 4.0 | 30 | 5.0 | 6\u00a0% | 11.1 | 20.0 | 0.55 [" in moved[0]
     assert "| gym/cam1.mp4 | start (static) | 4 |" in moved[1]
     assert "## The same by blur rate" in moved[1]
@@ -333,4 +333,4 @@ def test_other_sets_have_no_recordings():
     assert {"recordings", "cameras"}.isdisjoint(summary)
     page = table_markdown(summary)
     assert "By recording" not in page
-    assert "In the picture" not in page
+    assert "Position, front" not in page

@@ -79,8 +79,7 @@ def kill_at_each_step(publish: Callable[..., None], out: Path, files: Mapping[st
 
 
 def main(kind: str, out: Path, inputs: list[Path]) -> None:
-    """Both results, the second one published as `kill_at_each_step` says."""
-
+    """Make both results, the second one published as `kill_at_each_step` says."""
     run(kind, out, inputs, new=False)
     module = sys.modules["hfb.flows.video" if kind == "video" else "hfb.flows.fit_image"]
     publish = module.publish

@@ -139,7 +139,7 @@ class PrefectProcess:
                 time.sleep(0.2)
 
     def kill(self) -> None:
-        """kill -9, of it and all that it started."""
+        """Send SIGKILL to it and all that it started."""
         if self._process is not None:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()

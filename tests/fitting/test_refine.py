@@ -133,8 +133,7 @@ def test_one_frame_tells_its_height_at_the_first_comparison_alone_and_several_at
 
 @pytest.mark.parametrize("light", ["linear", "srgb"])
 def test_a_matte_is_found_again_beside_the_fit(light: Literal["linear", "srgb"]) -> None:
-    """A hand is missing in the first matte and something lies beside the legs, the fit stands a little aside: the new
-    one is nearer than both."""
+    """The new matte is better than a first one without a hand and with an object, and a fit that is displaced."""
     still, rng = moving_scene(BODY, size_px=192), np.random.default_rng(3)
     true, fitted = (at_rest(still.middle[0], still.observation) for _ in range(2))
     with torch.no_grad():

@@ -20,13 +20,13 @@ from hfb.fitting.alternatives import LIMB_NAMES, load_alternatives
 from hfb.flows.fit_image import fit_image
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.initialization.fronts import mirrored_in_depth
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, write_png
 from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body
 from hfb.photometry import srgb_to_linear
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.observation import Observation
-from hfb.tracking.clip_bodies import mirrored_in_depth
 from tests.orchestration import Problem, example, mlflow_rows
 
 TINY = RunConfig(

@@ -119,7 +119,7 @@ def make_seeds() -> tuple[Seed, ...]:
 
 
 def _without_addresses(data: bytes) -> bytes:
-    """torch's older files name tensors by where they lay in memory: numbered instead."""
+    """Number tensors, which torch's older files name by their addresses in memory."""
     names: dict[bytes, bytes] = {}
 
     def number(found: re.Match[bytes]) -> bytes:

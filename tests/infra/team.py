@@ -241,7 +241,7 @@ def psql(here: Team, *arguments: str, database: str = "postgres") -> list[str]:
 
 @contextmanager
 def _proxy(here: Team) -> Iterator[None]:
-    """nginx with the template of infra/settings; what is around it comes with the image there."""
+    """Start nginx with the template of infra/settings; the container image adds the rest of its configuration."""
     rules = here.here("", (SETTINGS / "proxy.conf.template").read_text(), "proxy")
     rules = rules.replace("${HFB_HOST}", here.addresses["proxy"])
     rules = re.sub(r"listen (\d+) ssl", rf"listen {here.addresses['proxy']}:\1 ssl", rules)

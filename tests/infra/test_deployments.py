@@ -1,5 +1,4 @@
-"""infra/prefect.yaml against the flows it deploys: every entrypoint is one, every parameter it sets is taken, and the
-form that Prefect makes of each tells what every field means."""
+"""infra/prefect.yaml against the flows it deploys: entrypoints, parameters, and descriptions of the form's fields."""
 
 import json
 from pathlib import Path

@@ -9,9 +9,10 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.initialization.fronts import agree_on_front, mirrored_in_depth
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
-from hfb.tracking.clip_bodies import agree_on_front, between, body_between, fill_missed, key_frames, mirrored_in_depth
+from hfb.tracking.clip_bodies import between, body_between, fill_missed, key_frames
 
 BODY = load_default_body()
 CAMERA = PinholeCamera.from_focal(400.0, 96, 96)

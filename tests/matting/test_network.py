@@ -199,8 +199,7 @@ def test_a_fit_that_explains_the_picture_leaves_nothing_and_tells_the_share() ->
 
 
 def test_the_third_look_keeps_what_no_fit_can_wear_and_drops_what_it_wears_by_mistake() -> None:
-    """A bag beside the body, in the first matte but not in the fit, stays; an arm that the fit puts where only the
-    plate is does not come in."""
+    """A bag in the first matte but not in the fit is kept; an arm of the fit over the visible plate is not added."""
     scene = composite(generated_plate("clouds"), 8, 21)
     body = scene.alpha
     rows, columns = np.nonzero(body > 0.5)

@@ -43,7 +43,7 @@ def test_times_of_several_frames() -> None:
 
 
 def test_the_gap_in_subframes_is_the_papers() -> None:
-    """tau sub-frames after the end: u = 1 + tau / (N - 1)."""
+    """The next opening, tau sub-frames after the end, is at u = 1 + tau / (N - 1)."""
     subframes, exposure_s = 8, 0.02
     tau = 3.5
     interval_s = exposure_s + tau * exposure_s / (subframes - 1)

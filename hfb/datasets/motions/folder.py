@@ -22,7 +22,10 @@ _KEPT = 4
 class FolderMotions:
     """A `MotionSource` of all recordings below a folder, sorted by their relative paths.
 
-    Hidden files are no recordings. A folder that holds the frames of a CAPE sequence is one motion.
+    Hidden files are ignored. A folder with the frames of a CAPE sequence is one motion.
+
+    Args:
+        folder: folder of the recordings.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -60,7 +63,7 @@ class FolderMotions:
         """Read one motion; see `MotionSource`.
 
         Args:
-            index: of `names`.
+            index: number of the motion in `names`.
         """
         name, paths = self._found[index]
         return _load(name, paths)
@@ -68,7 +71,7 @@ class FolderMotions:
 
 @lru_cache(maxsize=1024)
 def _tell(remark: str) -> None:
-    """Once per process: cases that share a clip read it again."""
+    """Log a remark once per process, since cases that share a clip read it again."""
     _log.warning("%s", remark)
 
 

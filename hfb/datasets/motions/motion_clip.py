@@ -1,4 +1,4 @@
-"""A motion from outside, in the one form that every generator takes."""
+"""A recorded motion in the common form of all generators."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ class MotionClip:
     """A recorded or made motion in the SMPL layout; the world's y axis points up [m].
 
     Attributes:
-        name: what to call it in reports; unique within its source.
+        name: name in reports; unique within its source.
         poses: axis-angle [rad]; the root's turns the rest body (y up, facing +z, its left +x) into the world.
         translations: SMPL's translation [m].
         fps: frames per second of the recording.
@@ -38,7 +38,7 @@ class MotionSource(Protocol):
         """Read one motion.
 
         Args:
-            index: of `names`.
+            index: number of the motion in `names`.
 
         Raises:
             InputError: the file is damaged, of an unknown layout, shorter than two frames or not finite.

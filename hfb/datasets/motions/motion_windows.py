@@ -1,4 +1,4 @@
-"""Short stretches of recorded motion, as long as a shutter is open, and single poses: what the priors learn from."""
+"""Training data of the priors: windows of recorded motion as long as an exposure, and single poses."""
 
 import fnmatch
 import zlib
@@ -24,10 +24,12 @@ OnProgress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Split:
-    """Which motions are for what, by their numbers in a source.
+    """Motions to train on, for choices and for tests, by their numbers in a source.
 
     Attributes:
-        trained: learned from. held_out: for choosing. tested: for a last measurement, never for choosing.
+        trained: motions to learn from.
+        held_out: motions for choices.
+        tested: motions for the final measurement, never for choices.
     """
 
     trained: tuple[int, ...]
@@ -39,9 +41,10 @@ def split_motions(names: Sequence[str], test_patterns: Sequence[str], held_out_p
     """Split motions into those to learn from, to test and to hold out, by patterns of their names.
 
     Args:
-        names: of all motions.
+        names: names of all motions.
         test_patterns: shell patterns of names, such as ``cmu_09_*``.
-        held_out_patterns: of those that are left; every fourth of them, in their order, when none are given.
+        held_out_patterns: patterns of the remaining names; every fourth remaining motion, in order, when none are
+            given.
 
     Raises:
         InputError: a pattern fits no motion, or none is left to learn from.
@@ -75,13 +78,13 @@ def draw_columns(
 ) -> tuple[Float[Array, "n 3 25 4"], Float[Array, "n"]]:
     """Return C of exposures at random times of some motions, and their lengths [s].
 
-    What is drawn from a motion depends on its name and the seed, not on the other motions.
+    The exposures of a motion depend on its name and the seed, not on the other motions.
 
     Args:
-        source: of the motions.
-        numbers: of the motions to use.
-        per_second: how many exposures per second of recording.
-        seed: of the random times.
+        source: source of the motions.
+        numbers: numbers of the motions to use.
+        per_second: number of exposures per second of recording.
+        seed: seed of the random times.
         refused: gets the reason by name for each motion that cannot be read.
         on_progress: called with (motions done, motions in all).
     """
@@ -102,14 +105,13 @@ def draw_exposures(
 ) -> tuple[Float[Array, "n S 24 3"], Float[Array, "n S 3"], Float[Array, "n"]]:
     """Draw random exposures: poses (axis-angle [rad]) and translations [m] at u, in the clip's world, and lengths [s].
 
-    Exposures begin anywhere; their lengths are drawn evenly in their logarithm. Those in which the recording jumps
-    are left out.
+    Starts are uniform, lengths log-uniform. Exposures in which the recording jumps are left out.
 
     Args:
         clip: the recorded motion.
         u: times in exposures, from 0 to 1.
         per_second: exposures per second of recording.
-        generator: of the times.
+        generator: draws the times.
     """
     lasts_s = (len(clip.poses) - 1) / clip.fps
     longest = min(LONGEST_S, lasts_s)
@@ -135,8 +137,8 @@ def take_poses(
     """Return axis-angles of joints 1 to 23 [rad] at regular times of some motions.
 
     Args:
-        source: of the motions.
-        numbers: of the motions to use.
+        source: source of the motions.
+        numbers: numbers of the motions to use.
         per_second: poses per second of recording.
         refused: gets the reason by name for each motion that cannot be read.
         on_progress: called with (motions done, motions in all).
@@ -151,7 +153,7 @@ def take_poses(
 
 
 def _clips(source: MotionSource, numbers: Sequence[int], refused: dict[str, str]) -> Iterator[tuple[int, MotionClip]]:
-    """(how many were looked at, motion) for each that can be read."""
+    """Yield (number of motions done, motion) for each that can be read."""
     for done, number in enumerate(numbers, 1):
         try:
             yield done, source.load(number)

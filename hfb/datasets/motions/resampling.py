@@ -1,4 +1,4 @@
-"""A recorded motion at any instants: the blur needs many more of them than a recording has frames."""
+"""Resampling of a recorded motion: a blurred frame needs more instants than a recording has."""
 
 import numpy as np
 
@@ -52,7 +52,7 @@ def resample(clip: MotionClip, times_s: Float[Array, "S"]) -> tuple[Float[Array,
 def _spline(
     values: Float[Array, "W *n c"], slow: np.ndarray, left: np.ndarray, share: Float[Array, "S"]
 ) -> Float[Array, "S *n c"]:
-    """Cubic Hermite; velocities are those of parabolas through neighbours, zero beside a step that is not slow."""
+    """Evaluate a cubic Hermite spline with velocities of parabolas through neighbours, zero beside a sudden step."""
     steps = np.diff(values, axis=0)
     turns = np.diff(steps, axis=0) / 2 if len(steps) > 1 else np.zeros_like(steps)
     velocities = np.concatenate([steps[:1] - turns[:1], steps[:-1] + turns[: len(steps) - 1], steps[-1:] + turns[-1:]])
@@ -71,8 +71,8 @@ def has_jump(clip: MotionClip, start_s: float, end_s: float) -> bool:
 
     Args:
         clip: the recorded motion.
-        start_s: of the window, seconds from the clip's first frame.
-        end_s: of the window, likewise.
+        start_s: start of the window, seconds from the clip's first frame.
+        end_s: end of the window, likewise.
     """
     first = max(int(np.floor(start_s * clip.fps)), 0)
     poses = clip.poses[first : int(np.ceil(end_s * clip.fps)) + 1].astype(np.float64)

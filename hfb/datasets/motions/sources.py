@@ -1,4 +1,4 @@
-"""Where motions come from: a folder of recordings, or the built-in ones."""
+"""Sources of motions: a folder of recordings, or the built-in ones."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +13,8 @@ def open_motions(folder: Path | None, seed: int) -> MotionSource:
     """Return the motions of a folder, or for None built-in ones from the seed.
 
     Args:
-        folder: of recordings, or None.
-        seed: of the built-in motions.
+        folder: a folder of recordings, or None.
+        seed: seed of the built-in motions.
 
     Raises:
         InputError: no such folder, or no motion in it.
@@ -28,7 +28,7 @@ def usable(
     """Load each motion once; return the numbers of those that load, and the others' reasons by name.
 
     Args:
-        source: of the motions.
+        source: source of the motions.
         on_progress: called with (motions looked at, motions in all) after each.
     """
     good, bad = [], {}

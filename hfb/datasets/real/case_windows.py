@@ -1,4 +1,4 @@
-"""Which stretches of which videos a case can be made from, and an order that spreads over all of them."""
+"""Windows of videos from which cases can be made, and an order that spreads over all of them."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -22,9 +22,9 @@ class RealWindow:
     Attributes:
         first: number of its first frame in the video.
         average: K, frames per exposure.
-        place: the folder of the video, by the shortest name that no other one has; marked where no joints are measured.
+        place: the folder of the video, by the shortest unique end of its path; marked where no joints are measured.
         video: the video's name in results.
-        remarks: what a reader of the results should know about the recording.
+        remarks: remarks on the recording for readers of the results.
     """
 
     recording: Recording
@@ -37,7 +37,7 @@ class RealWindow:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A usable video: its name among those that are refused, and what the first look found."""
+    """A usable video, its name among refused ones, and its inspection."""
 
     name: str
     footage: Footage
@@ -51,7 +51,7 @@ def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
     A window has no dropped frame and, where joints were measured, a row of them for each of its frames.
 
     Args:
-        spec: of the set.
+        spec: specification of the set.
 
     Raises:
         InputError: a folder is missing or holds no video.
@@ -112,7 +112,7 @@ def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWin
     rotated by the seed: every prefix is spread out, and a longer choice begins with the shorter one.
 
     Args:
-        windows: to choose from.
+        windows: windows to choose from.
         count: largest number of chosen windows.
         seed: rotates the order.
     """
@@ -138,7 +138,7 @@ def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWin
 
 
 def _find(folders: Sequence[Path]) -> tuple[list[tuple[str, Footage]], dict[str, str]]:
-    """((name, video) of all folders, each video once; name -> why it can't be used).
+    """Return (name, video) of all folders, each video once, and by name why a video cannot be used.
 
     Raises:
         InputError: a folder is missing or holds no video.
@@ -156,14 +156,14 @@ def _find(folders: Sequence[Path]) -> tuple[list[tuple[str, Footage]], dict[str,
 
 
 def _bit_reversed(count: int) -> list[int]:
-    """0 .. count - 1, each far from those before it: count times 0, 1/2, 1/4, 3/4, 1/8, ... rounded down."""
+    """Return 0 .. count - 1, each far from those before it: count times 0, 1/2, 1/4, 3/4, 1/8, ... rounded down."""
     bits = max(count - 1, 1).bit_length()
     reversed_bits = (int(f"{index:0{bits}b}"[::-1], 2) for index in range(1 << bits))
     return list(dict.fromkeys(count * index >> bits for index in reversed_bits))
 
 
 def _starts(recording: Recording, footage: Footage, length: int) -> list[int]:
-    """First frames of all windows of a length.
+    """Return first frames of all windows of a length.
 
     Raises:
         InputError: the video is shorter, or joints and time stamps leave no whole window.

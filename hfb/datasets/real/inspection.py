@@ -1,4 +1,4 @@
-"""A first look at a video: does its camera stand still, and do its measured joints lie on the person, in time?"""
+"""Checks of a video: a static camera, and measured joints that match the person in place and time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from hfb.errors import InputError
 from hfb.typing import Array, Float
 
 MOST_SHIFT = 4
-"""How many frames joints and pictures may lie apart and still be brought together."""
+"""Largest shift of joints and images [frames] that is corrected."""
 
 _LOOK_PX = 240
 _LOOK_FRAMES = 240
@@ -28,12 +28,12 @@ _CLEARLY_BETTER = 1.05
 
 @dataclass(frozen=True)
 class Inspection:
-    """What the first look found.
+    """Result of `inspect`.
 
     Attributes:
         recording: with the up axis of its joints settled.
         depths: for each shift of the joints by -MOST_SHIFT .. MOST_SHIFT frames, how deep inside what moved the
-            limbs lie, summed over frames and weighted by their speed in the picture; zeros without joints.
+            limbs lie, summed over frames and weighted by their speed in the image; zeros without joints.
     """
 
     recording: Recording
@@ -45,7 +45,7 @@ def inspect(recording: Recording, footage: Footage) -> Inspection:
 
     Args:
         recording: the video with its plate, camera and joints.
-        footage: of the video.
+        footage: the video's footage.
 
     Raises:
         InputError: the camera moves, or the joints do not lie on the person.
@@ -82,12 +82,12 @@ def inspect(recording: Recording, footage: Footage) -> Inspection:
 def joint_shift(inspections: Sequence[Inspection]) -> int:
     """Estimate by how many frames the rows of the joints are early (negative) or late.
 
-    A file whose rows are numbered from another frame than the video is quietly wrong by a frame or two, which at
-    60 frames per second is some centimetres at the hands. The shift at which the limbs lie deepest inside what moved
-    is taken where it is clearly better than none.
+    Rows that are numbered from another frame than the video's are off by a frame or two, which at 60 frames per second
+    is some centimetres at the hands. The shift with which the limbs are deepest inside the moving region is used where
+    it is clearly better than none.
 
     Args:
-        inspections: of the videos that share the joints.
+        inspections: inspections of the videos that share the joints.
     """
     total = np.sum([inspection.depths for inspection in inspections], axis=0)
     if not inspections or not total.any():
@@ -165,7 +165,7 @@ def _depths(
 
 
 def _at(values: Float[Array, "h w"], pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """The values at pixels (x, y); 0 outside and where unknown."""
+    """Return the values at pixels (x, y); 0 outside and where unknown."""
     x, y = np.floor(np.nan_to_num(pixels, nan=-1.0).clip(-1, 1e6)).astype(int).T
     inside = (x >= 0) & (y >= 0) & (x < values.shape[1]) & (y < values.shape[0])
     found = np.zeros(len(pixels), values.dtype)

@@ -1,4 +1,4 @@
-"""3D joints that somebody measured: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
+"""Measured 3D joints: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
 
 Marker-based skeletons, detectors and SMPL put their joints at slightly different places of the body: hips and shoulders
 lie 2 to 5 cm from SMPL's (see truth_source.py).
@@ -32,7 +32,8 @@ class Markers:
     Attributes:
         frames: number of each row's frame, increasing, on the clock of the recording (0 is its first frame).
         rate_hz: rows per second; None where the file leaves it to the video.
-        names: as in the file. xyz_m: NaN where a point is unknown.
+        names: as in the file.
+        xyz_m: NaN where a point is unknown.
         views_known: whether the file tells in how many views a point was seen, as triangulations do.
     """
 
@@ -65,7 +66,7 @@ def smpl_joint(name: str) -> int | None:
     """Return the SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", LWrist and the like.
 
     Args:
-        name: of the marker.
+        name: name of the marker.
     """
     word = "".join(letter for letter in name.lower() if letter.isalnum())
     for limb in _LIMBS:
@@ -79,7 +80,7 @@ def body_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
     """Return the columns of the markers that show SMPL joints, and those joints, by joint; the first of doubles.
 
     Args:
-        names: of the markers.
+        names: names of the markers.
     """
     joints: dict[int, int] = {}
     for column, name in enumerate(names):
@@ -93,7 +94,7 @@ def read_joints_npz(path: Path) -> Markers:
     """Read joints3d.npz: frames (F,), names (M,), xyz (F,M,3) in metres in the calibration's world.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: missing, damaged, too large, or of other shapes.
@@ -121,7 +122,7 @@ def read_trc(path: Path) -> Markers:
     A gap is an empty cell. Rows are placed by their time: frame = time * rate.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: missing, no .trc, or inconsistent; the text says in which line.
@@ -193,7 +194,7 @@ def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float
 
 
 def _checked(markers: Markers, path: Path) -> Markers:
-    """Whole points or none; frames in order; sizes that a room can hold."""
+    """Check markers: points complete or unknown, frames in order, plausible coordinates."""
     if not len(markers.frames) or (np.diff(markers.frames) <= 0).any() or markers.frames[0] < 0:
         raise InputError(f"{path}: its frames must increase from 0 or more, one row each.")
     if len(set(markers.names)) != len(markers.names):

@@ -45,8 +45,8 @@ def make_numbered_real_case(spec: RealSpec, number: int, folder: Path) -> Case:
     """Make case `number` (from 1) of the set: the windows in the order of `choose` with the set's own seed.
 
     Args:
-        spec: of the set.
-        number: of the case, from 1.
+        spec: specification of the set.
+        number: number of the case, from 1.
         folder: written to.
 
     Raises:
@@ -66,9 +66,9 @@ def make_real_case(spec: RealSpec, number: int, window: RealWindow, folder: Path
     on the clock of a fit. Mattes and cut-outs come from the default matting of the sharp frames: pseudo truths.
 
     Args:
-        spec: of the set.
-        number: of the case, from 1.
-        window: of a video.
+        spec: specification of the set.
+        number: number of the case, from 1.
+        window: a window of a video.
         folder: written to.
 
     Raises:
@@ -100,7 +100,7 @@ def make_real_case(spec: RealSpec, number: int, window: RealWindow, folder: Path
 def _look(
     spec: RealSpec, window: RealWindow, footage: Footage, calibrated: CalibratedCamera | None, full: PinholeCamera
 ) -> tuple[SeenJoints | None, View, list[Box] | None]:
-    """(the measured joints where there are some, the view of the person, where the person may be in each frame)."""
+    """Return the measured joints (if any), the view of the person, and the person's possible region in each frame."""
     count = window.average * spec.frames
     markers = window.recording.markers()
     if markers is None or calibrated is None:
@@ -117,7 +117,7 @@ def _look(
 
 
 def _full_camera(footage: Footage, calibrated: CalibratedCamera | None, height: int, width: int) -> PinholeCamera:
-    """The undistorted full picture's camera: calibrated, else clip.toml's, else the guess that a user's run makes."""
+    """Return the undistorted full image's camera: calibrated, else clip.toml's, else the guess of a user's run."""
     if calibrated is not None:
         return calibrated.pinhole()
     given = footage.clip.camera
@@ -133,7 +133,7 @@ def _camera_source(footage: Footage, calibrated: CalibratedCamera | None) -> str
 
 
 def _write_pictures(folder: Path, exposures: list[Exposure], plate: Float[Array, "H W 3"]) -> list[list[int]]:
-    """Frames, their sharp middles, mattes, cut-outs and the plate; returns the boxes of the cut-outs."""
+    """Write frames, their sharp middles, mattes, cut-outs and the plate; return the boxes of the cut-outs."""
     folder.mkdir(parents=True, exist_ok=True)
     boxes = []
     for index, exposure in enumerate(exposures):
@@ -176,7 +176,7 @@ def _facts(
     exposures: list[Exposure],
     joints: SeenJoints,
 ) -> dict[str, Any]:
-    """case.json: how the case was made and how far its truth can be trusted."""
+    """Return the content of case.json: the origin of the case and the reliability of its truth."""
     recording, footage = window.recording, view.footage
     rates = [exposure.blur_rate() for exposure in exposures]
     calibrated = recording.camera()
@@ -231,13 +231,13 @@ def _facts(
 
 
 def _stamp(folders: tuple[Path, ...]) -> tuple[tuple[str, int, int], ...]:
-    """What lies in the folders, by name, size and time of change."""
+    """Return the folders' files by name, size and time of change."""
     files = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
     return tuple((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
 @lru_cache(maxsize=2)
 def _order(spec: RealSpec, stamp: tuple[tuple[str, int, int], ...]) -> tuple[RealWindow, ...]:
-    """The set's windows in their order; found once per process, as long as the files stay."""
+    """Return the set's windows in their order; cached per process while the files are unchanged."""
     windows, _ = real_windows(spec)
     return tuple(choose(windows, len(windows), spec.seed))

@@ -1,4 +1,4 @@
-"""A set of blurred real video in one record: which videos, how many frames make one exposure. Light to import."""
+"""The options of the sets of real video: their videos and the frames per exposure. Light to import."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hfb.config import Record
 
 
 def _several(value: Any) -> Any:
-    """One folder, or one number, as a tuple of one."""
+    """Return a single folder or number as a tuple of one."""
     return (value,) if isinstance(value, str | Path | int) else value
 
 
 class RealSpec(Record):
-    """What a set of blurred real video is made from; a case is a function of this record and its window alone."""
+    """Options of a set of blurred real video; they and its window determine a case."""
 
     set: Literal["b-aist", "real"] = "b-aist"
     videos: Annotated[tuple[Path, ...], BeforeValidator(_several)] = Field(

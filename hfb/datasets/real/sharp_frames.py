@@ -1,4 +1,4 @@
-"""One pass over the sharp frames of a case: what a long exposure sums up, and each frame's own matte."""
+"""One pass over the sharp frames of a case: the sum of each long exposure, and each frame's matte."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,11 +21,12 @@ OnFrame = Callable[[Float[Array, "H W 3"], Float[Array, "H W"]], None]
 
 @dataclass(frozen=True)
 class Exposure:
-    """One blurred frame and what it is made of, linear light.
+    """One blurred frame and the sharp frames behind it, linear light.
 
     Attributes:
-        mean: of the K sharp frames. matte: mean of their mattes, a pseudo truth as good as the matting.
-        masks: where each sharp matte is 0.5 or more.
+        mean: mean of the K sharp frames.
+        matte: mean of their mattes, a pseudo truth as good as the matting.
+        masks: pixels in which each sharp matte is 0.5 or more.
         cutouts: the sharp frames nearest to u = i / 7, premultiplied with their mattes.
         middle: the sharp frame in the middle; of an even number the later one of the two.
     """
@@ -39,8 +40,8 @@ class Exposure:
     def blur_rate(self) -> float:
         """Return |union of the masks| / |one mask| - 1.
 
-        The median mask stands for the first one, and masks of an unusual area are left out: one bad matte must not
-        decide.
+        The median mask replaces the first one, and masks of an unusual area are ignored, so that a single bad matte has
+        no influence.
         """
         areas = self.masks.sum((1, 2)).astype(float)
         usual = float(np.median(areas))
@@ -63,7 +64,7 @@ def expose(
         plate: through the same view, linear.
         first: number of the case's first frame in the video.
         shutter: sharp frames per blurred one, and blurred frames.
-        boxes: where the person may be in each sharp frame, in the case's pictures; None for everywhere in the view.
+        boxes: possible region of the person in each sharp frame, in the case's images; None for the whole view.
         on_frame: called with every sharp frame and its matte.
 
     Raises:
@@ -98,12 +99,12 @@ def expose(
 
 
 def _nearest(average: int) -> list[int]:
-    """The sharp frame nearest to each of u = i / 7."""
+    """Return the sharp frame nearest to each of u = i / 7."""
     return [round(i / (SHARP_SUBFRAMES - 1) * (average - 1)) for i in range(SHARP_SUBFRAMES)]
 
 
 def _allowed(view: View, boxes: list[Box] | None, index: int) -> Float[Array, "H W"]:
-    """1 where the chosen person may be, 0 where only others are; the step is softened over a pixel."""
+    """Return 1 in the chosen person's possible region, 0 elsewhere; the step is softened over a pixel."""
     allowed = np.ones((view.camera.height, view.camera.width), np.float32)
     if view.body is not None:
         allowed *= view.body

@@ -1,6 +1,6 @@
-"""When K averaged frames of a video were exposed, on the clock of a fit.
+"""Exposure times of K averaged frames of a video, on the clock of a fit.
 
-A fit explains a picture as the mean of instants at u = 0 .. 1, both ends included. The mean of K sharp frames is
+A fit explains an image as the mean of instants at u = 0 .. 1, both ends included. The mean of K sharp frames is
 exactly that with u = j / (K - 1), if u = 0 is the middle of the first frame's own exposure and u = 1 that of the
 last. So the made-up shutter is open for (K - 1) / fps and opens every K / fps; between the last frame of one window
 and the first of the next lies one interval of the video, as it should.
@@ -22,7 +22,9 @@ class Shutter:
     """T exposures of K frames each, without a gap.
 
     Attributes:
-        average: K. frames: T. fps: of the sharp video.
+        average: K, sharp frames per exposure.
+        frames: T, number of exposures.
+        fps: frame rate of the sharp video.
     """
 
     average: int

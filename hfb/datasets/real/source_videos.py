@@ -1,6 +1,6 @@
-"""Videos in a folder: files, or folders of numbered pictures. What they are, without holding any of them.
+"""Videos in a folder: files, or folders of numbered images; frames are read on demand.
 
-Frames count from 0. A folder is one video per name of its numbered pictures (f001.png, f002.png, ...), if there are
+Frames count from 0. A folder is one video per name of its numbered images (f001.png, f002.png, ...), if there are
 eight or more of that name.
 """
 
@@ -37,13 +37,13 @@ class Footage:
     """One video of a static camera.
 
     Attributes:
-        path: the video file, or the first of its numbered pictures.
-        pictures: the numbered pictures in order; empty for a video file.
-        stem: what files that belong to it are named after.
+        path: the video file, or the first of its numbered images.
+        pictures: the numbered images in order; empty for a video file.
+        stem: name without ending, shared by its companion files.
         fps: frames per second; fps_known is False where nothing says and 30 was assumed.
         steady: for every frame but the last, whether the next one follows after one regular interval.
         clip: its clip.toml, or an empty one.
-        remarks: what a user should know of how it is read.
+        remarks: remarks for the user on how it is read.
     """
 
     path: Path
@@ -117,11 +117,11 @@ def open_footage(path: Path, pictures: tuple[Path, ...] = ()) -> Footage:
     """Look at one video: how many frames, how fast; nothing is decoded.
 
     Args:
-        path: the video file, or the first of the pictures.
-        pictures: its numbered pictures, for a video that is a folder of them; found again when not given.
+        path: the video file, or the first of the images.
+        pictures: its numbered images, for a video that is a folder of them; found again when not given.
 
     Raises:
-        InputError: no video, too short, pictures missing in between, or a clip.toml that is wrong.
+        InputError: no video, too short, images missing in between, or a clip.toml that is wrong.
     """
     if not pictures and path.suffix.lower() in PICTURE_SUFFIXES:
         pictures = dict(_picture_runs(path.parent)).get(path, ())
@@ -136,7 +136,7 @@ def open_footage(path: Path, pictures: tuple[Path, ...] = ()) -> Footage:
 
 
 def _looked_at(footage: Footage) -> Footage:
-    """The footage with what `hfb video` would say of the file.
+    """Return the footage with the remarks of `hfb video` on the file.
 
     Raises:
         InputError: it is interlaced.
@@ -152,7 +152,7 @@ def _looked_at(footage: Footage) -> Footage:
 
 
 def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
-    """Every (first file, pictures) in the order of their paths."""
+    """Return every (first file, images) in the order of their paths."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     videos: list[tuple[Path, tuple[Path, ...]]] = [(p, ()) for p in files if p.suffix.lower() in VIDEO_SUFFIXES]
     for inner in sorted({path.parent for path in files if path.suffix.lower() in PICTURE_SUFFIXES}):
@@ -161,7 +161,7 @@ def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
 
 
 def _picture_runs(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
-    """The numbered pictures of one folder, one run per common name, by number."""
+    """Return the numbered images of one folder, one run per common name, by number."""
     runs: dict[tuple[str, str], list[tuple[int, Path]]] = {}
     for path in sorted(folder.iterdir()):
         numbered = _NUMBERED.fullmatch(path.stem)
@@ -172,7 +172,7 @@ def _picture_runs(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
 
 
 def _stem_of_pictures(pictures: tuple[Path, ...]) -> str:
-    """The pictures' common name, or their folder's where they are mere numbers (or one letter and a number)."""
+    """Return the images' common name, or their folder's where they are mere numbers (or one letter and a number)."""
     numbered = _NUMBERED.fullmatch(pictures[0].stem)
     name = numbered[1].rstrip("_-. ") if numbered else ""
     return name if len(name) > 1 else pictures[0].parent.name
@@ -196,7 +196,7 @@ def _timing(path: Path, told_fps: float | None) -> tuple[float, Bool[Array, "n"]
     """Return frames per second, which frames are followed by a regular interval, and remarks, from the container.
 
     Args:
-        path: of the video.
+        path: the video file.
         told_fps: by the user; it has priority over the rate of the capture, which has priority over that of the time
             stamps.
     """
@@ -207,7 +207,7 @@ def _timing(path: Path, told_fps: float | None) -> tuple[float, Bool[Array, "n"]
 
 
 def _time_stamps(path: Path) -> tuple[float, Bool[Array, "n"], Rate | None]:
-    """With the rate at which it was captured, where the file says so."""
+    """Return rate and regularity of the time stamps, and the capture rate where the file states it."""
     try:
         with open_video(path) as container:
             stream = video_stream(container)

@@ -1,4 +1,4 @@
-"""The truth of a real case: joints that were measured, or those an estimator sees in every sharp frame."""
+"""The truth of a real case: measured joints, or an estimator's joints in every sharp frame."""
 
 from dataclasses import dataclass
 
@@ -25,8 +25,9 @@ class SeenJoints:
     """Joints at the instants of R sharp frames, in camera coordinates.
 
     Attributes:
-        joints: [m], NaN where unknown. smpl_joints: which joint of SMPL each one is.
-        source: what measured them (`truth_source.TruthKind`), or the estimator that saw them.
+        joints: [m], NaN where unknown.
+        smpl_joints: which joint of SMPL each one is.
+        source: how they were measured (`truth_source.TruthKind`), or the estimator.
     """
 
     joints: Float[Array, "R P 3"]
@@ -55,11 +56,11 @@ def measured_joints(
 ) -> SeenJoints:
     """Return the measured points that show SMPL's joints, in consecutive rows, camera coordinates.
 
-    They lie where their source puts them, some centimetres from SMPL's own joints (see truth_source.py).
+    They are where their source puts them, some centimetres from SMPL's own joints (see truth_source.py).
 
     Args:
         markers: measured points.
-        camera: of the video.
+        camera: camera of the video.
         first: number of the first frame in the video.
         count: number of frames.
         kind: how the points were measured.
@@ -74,7 +75,7 @@ def all_points(markers: Markers, camera: CalibratedCamera, first: int, count: in
 
     Args:
         markers: measured points.
-        camera: of the video.
+        camera: camera of the video.
         first: number of the first frame in the video.
         count: number of frames.
     """
@@ -86,8 +87,8 @@ def share_inside(pixels: Float[Array, "R P 2"], masks: Bool[Array, "R H W"]) -> 
     """Return the share of the known joints that project onto the mask of their own frame.
 
     Args:
-        pixels: of the joints [px], NaN where unknown.
-        masks: of the frames.
+        pixels: pixels of the joints [px], NaN where unknown.
+        masks: masks of the frames.
     """
     rows, _ = np.nonzero(np.isfinite(pixels).all(-1))
     x, y = np.floor(pixels[np.isfinite(pixels).all(-1)]).astype(int).T
@@ -97,7 +98,14 @@ def share_inside(pixels: Float[Array, "R P 2"], masks: Bool[Array, "R H W"]) -> 
 
 
 class SharpEstimates:
-    """An estimator's answers to sharp frames, one after another."""
+    """An estimator's results in sharp frames, one after another.
+
+    Args:
+        initializer: the estimator.
+        body: model of the estimates.
+        plate_linear: background through the case's view, linear light.
+        camera: pinhole camera of the view.
+    """
 
     def __init__(
         self, initializer: Initializer, body: Body, plate_linear: Float[Array, "H W 3"], camera: PinholeCamera
@@ -111,7 +119,7 @@ class SharpEstimates:
 
         Args:
             frame_linear: sharp frame, linear light.
-            matte: of the frame.
+            matte: matte of the frame.
         """
         try:
             first = self._initializer(frame_linear, self._plate, matte, self._camera, self._body)

@@ -1,4 +1,4 @@
-"""What the measured joints of a real recording are, and how far they lie from SMPL's."""
+"""Kinds of measured joints in real recordings, and their offsets from SMPL's."""
 
 from typing import Literal
 
@@ -12,7 +12,7 @@ TruthKind = Literal["markers", "multi-view", "measured"]
 
 _RIGID, _BENDS_DEG = 0.005, 3.0
 """Relative deviation of a bone's length over time below which a skeleton was fitted (triangulated detections have 0.02
-and more), and deviation of an angle above which somebody moves."""
+and more), and deviation of an angle above which the person moves."""
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}", f"{side}_{c}")
     for side in ("left", "right")
@@ -27,8 +27,9 @@ TRUTH_SOURCES: dict[str, str] = {
 """`truth_source` of case.json."""
 
 OFFSET_MM: dict[str, tuple[int, int]] = {"hip": (20, 50), "shoulder": (20, 50)}
-"""How far an anatomical joint centre, or a detector's keypoint, lies from SMPL's joint of that name, least and most:
-SMPL's are regressed from a surface. Of knees, ankles, elbows and wrists no offset beyond the truth's error is known."""
+"""Smallest and largest distance of an anatomical joint centre, or a detector's keypoint, from SMPL's joint of that
+name: SMPL's are regressed from a surface. For knees, ankles, elbows and wrists no offset beyond the truth's error is
+known."""
 
 
 def truth_kind(markers: Markers, cameras: int) -> TruthKind:
@@ -59,7 +60,7 @@ def truth_offsets_mm(joints: tuple[int, ...]) -> dict[str, tuple[int, int]]:
 
 
 def _is_rigid(markers: Markers) -> bool:
-    """Whether bones keep their lengths while joints bend, as only a fitted skeleton's do."""
+    """Return whether bones keep their lengths while joints bend, as only a fitted skeleton's do."""
     columns, joints = body_columns(markers.names)
     known = {JOINT_NAMES[joint]: markers.xyz_m[:, column] for column, joint in zip(columns, joints, strict=True)}
     deviations, bends = [], []
@@ -77,6 +78,6 @@ def _is_rigid(markers: Markers) -> bool:
 
 
 def _bend_deg(upper: Float[Array, "n 3"], lower: Float[Array, "n 3"]) -> float:
-    """How much an angle changes over time."""
+    """Return the variation of an angle over time."""
     cosine = (upper * lower).sum(1) / np.maximum(np.linalg.norm(upper, axis=1) * np.linalg.norm(lower, axis=1), 1e-9)
     return float(np.degrees(np.arccos(cosine.clip(-1, 1))).std())

@@ -1,4 +1,4 @@
-"""What belongs to a video: its plate, its camera, its measured joints; found by name, checked against the picture."""
+"""Companion files of a video: plate, camera and measured joints; found by name, checked against the frames."""
 
 import re
 from dataclasses import dataclass, replace
@@ -23,15 +23,15 @@ _PICTURE_BYTES = 1 << 29
 
 @dataclass(frozen=True)
 class Recording:
-    """A video and the files that belong to it. Paths only: it travels between processes.
+    """A video and its companion files. Paths only, so that it can be sent between processes.
 
     Attributes:
-        video: the video file, or the first of its numbered pictures.
-        plate: the picture of the empty scene; None for the temporal median.
+        video: the video file, or the first of its numbered images.
+        plate: the image of the empty scene; None for the temporal median.
         calibration: Calib*.toml or cameras.json that has the video's camera; None without one.
         joints: .trc or joints3d.npz; None without measured joints.
         y_up: whether the .trc has y up where the calibration's world has z up.
-        shift: how many rows the joints of a frame lie behind where the calibration says (see inspection.py).
+        shift: number of rows by which the joints lag behind the calibration's frames (see inspection.py).
     """
 
     video: Path
@@ -77,14 +77,14 @@ class Recording:
 def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
     """Find the files that belong to a video by their names; return them and a sentence per problem.
 
-    Searched: the video's folder, and beside it the folders `calibration` and `pose-3d` of a Pose2Sim project. Where
-    several .trc files lie there the filtered one counts; whether it has y up is not decided here.
+    The search covers the video's folder, and beside it the folders `calibration` and `pose-3d` of a Pose2Sim project.
+    Of several .trc files the filtered one is used; its vertical axis is determined later.
 
     Args:
         footage: the video.
 
     Raises:
-        InputError: a calibration or a joint file that cannot be read, or a picture size that is not the video's.
+        InputError: a calibration or a joint file that cannot be read, or an image size that is not the video's.
     """
     folder, remarks = footage.path.parent, list(footage.remarks)
     recording = Recording(footage.path, find_plate(footage))
@@ -125,7 +125,7 @@ def find_plate(footage: Footage) -> Path | None:
 
 
 def _matching(folder: Path, patterns: tuple[str, ...]) -> list[Path]:
-    """Files of one folder in the order of the patterns, then of their names."""
+    """Return files of one folder in the order of the patterns, then of their names."""
     if not folder.is_dir():
         return []
     return [path for pattern in patterns for path in sorted(folder.glob(pattern)) if path.is_file()]
@@ -183,7 +183,7 @@ def _footage(video: Path) -> Footage:
 
 @lru_cache(maxsize=1)
 def _median(video: Path) -> Float[Array, "H W 3"]:
-    """Median over frames spread over the video; of the stored values, which is that of the light too."""
+    """Return the median over frames spread over the video, of the stored values, which is that of the light, too."""
     footage = _footage(video)
     count = min(_PLATE_FRAMES, footage.count - 1 + footage.count % 2)  # odd: the median is one of the values
     chosen = sorted({int(index) for index in np.linspace(0, footage.count - 1, count).round()})

@@ -1,4 +1,4 @@
-"""The window through which a case sees its video: around the person, undistorted, at the case's size."""
+"""The window of a case on its video: around the person, undistorted, at the case's size."""
 
 from dataclasses import dataclass, replace
 
@@ -16,14 +16,14 @@ from hfb.matting.matting_protocol import shrink
 from hfb.typing import Array, Bool, Float
 
 _DETECTION_PX = 480
-_MARGIN = 0.12  # of the person's longer side: the matting wants to see some background
+_MARGIN = 0.12  # of the person's longer side: matting needs some background
 _REACH = 0.12  # of the joints' longer side: hands, feet and hair reach beyond the joints
-_LEAST_PX = 48  # a person who is smaller shows no limbs
+_LEAST_PX = 48  # limbs of a smaller person are not visible
 
 
 @dataclass(frozen=True)
 class Box:
-    """left, top, right, bottom in pixels of the full picture, spanning [0, W] x [0, H]."""
+    """left, top, right, bottom in pixels of the full image, spanning [0, W] x [0, H]."""
 
     left: float
     top: float
@@ -34,7 +34,7 @@ class Box:
         """Widen the box on each side by a share of the longer side.
 
         Args:
-            share: of the longer side.
+            share: share of the longer side.
         """
         pad = share * max(self.right - self.left, self.bottom - self.top)
         return Box(self.left - pad, self.top - pad, self.right + pad, self.bottom + pad)
@@ -42,13 +42,16 @@ class Box:
 
 @dataclass(frozen=True)
 class View:
-    """A window of the full picture at another size; everything in a case is seen through it.
+    """A window of the full image at another size; all images of a case show it.
 
     Attributes:
-        left, top, width, height: the window in the undistorted full picture [px].
-        camera: the pinhole of the case's pictures, in this project's pixel convention.
-        source: for each pixel of the window where its light lies in the stored picture; None without distortion.
-        body: where the chosen person may be, in the case's pictures.
+        left: left edge of the window in the undistorted full image [px].
+        top: top edge [px].
+        width: width [px].
+        height: height [px].
+        camera: the pinhole of the case's images, in this project's pixel convention.
+        source: for each pixel of the window where its light lies in the stored image; None without distortion.
+        body: possible region of the chosen person, in the case's images.
     """
 
     footage: Footage
@@ -92,11 +95,11 @@ def make_view(
 
     Args:
         footage: the video.
-        box: of the person in all frames of the case.
-        full: the camera of the undistorted full picture.
+        box: box of the person in all frames of the case.
+        full: the camera of the undistorted full image.
         calibrated: the lens, or None.
-        size_px: longer side of the case's pictures; a smaller window is not enlarged.
-        body: where the person may be, in a small full picture; None for everywhere.
+        size_px: longer side of the case's images; a smaller window is not enlarged.
+        body: possible region of the person, in a reduced full image; None for everywhere.
 
     Raises:
         InputError: the person is too small.
@@ -161,11 +164,11 @@ def box_of_change(recording: Recording, footage: Footage, first: int, count: int
 
 
 def _seen_region(view: View, body: Bool[Array, "h w"], full: PinholeCamera) -> Bool[Array, "H W"]:
-    """A region of a small full picture, a little widened, in the case's pictures."""
+    """Return a region of a small full image, a little widened, in the case's images."""
     reach = 2 * max(2, round(0.015 * max(body.shape))) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     near = cv2.dilate(body.astype(np.uint8), disc)
-    # Centres of the case's pixels in the small picture's pixels: nearest neighbour.
+    # Centres of the case's pixels in the small image's pixels: nearest neighbour.
     rows = view.top + (np.arange(view.camera.height) + 0.5) * view.height / view.camera.height
     columns = view.left + (np.arange(view.camera.width) + 0.5) * view.width / view.camera.width
     at_rows = (rows * body.shape[0] / full.height).astype(int).clip(0, body.shape[0] - 1)

@@ -10,9 +10,9 @@ def room_background(height: int, width: int, rng: np.random.Generator) -> Float[
     """Paint a soft-lit wall and floor with a few pictures and boxes, sRGB in [0, 1].
 
     Args:
-        height: of the image [px].
-        width: of the image [px].
-        rng: of colours and things.
+        height: height of the image [px].
+        width: width of the image [px].
+        rng: draws colours and objects.
     """
     wall, floor = (rng.uniform(low, high) + rng.uniform(-0.07, 0.07, 3) for low, high in ((0.5, 0.8), (0.2, 0.45)))
     horizon = int(height * rng.uniform(0.62, 0.75))

@@ -1,4 +1,4 @@
-"""Write a case: what the methods see, what really happened, and how it was made."""
+"""Writing of a case: the methods' input, the truth, and the record of how it was made."""
 
 import json
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from hfb.motion.static_pose import FirstBody, save_first_body
 from hfb.typing import Float, Tensor
 
 FORMAT = 1
-"""Of case.json; raised when a reader of older cases would go wrong."""
+"""Format of case.json; raised when a reader of older cases would go wrong."""
 
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """Everything there is to tell about a case."""
+    """All facts about a case."""
 
     spec: SetSpec
     number: int
@@ -45,13 +45,13 @@ def write_case(folder: Path, story: Story, plate_linear: Float[Tensor, "H W 3"],
     """Write all files, case.json last: a folder that has it is complete.
 
     Args:
-        folder: of the case.
+        folder: the case's folder.
         story: shots, motion and facts of the case.
         plate_linear: background, linear light.
-        rng: of the sensor's noise.
+        rng: draws the sensor's noise.
     """
     case = Case(folder, story.number, story.spec.frames, float(np.mean(story.blur_rates)), {})
-    # A case made before must not look whole while its files are replaced.
+    # An earlier case must not look complete while its files are replaced.
     (folder / "case.json").unlink(missing_ok=True)
     write_png(case.background, story.sensor.expose(plate_linear, rng, story.sensor.plate_share))
     boxes = []
@@ -68,7 +68,7 @@ def write_case(folder: Path, story: Story, plate_linear: Float[Tensor, "H W 3"],
 
 
 def _clip_toml(story: Story) -> str:
-    """Camera and shutter, as a user would know them; numbers so that they are read back to the bit."""
+    """Return clip.toml with camera and shutter; numbers are read back to the bit."""
     rows = ", ".join(f"[{', '.join(repr(float(value)) for value in row)}]" for row in story.truth.motion.K)
     clock = story.found.clock
     return f"[camera]\nK = [{rows}]\n\n[exposure]\nfps = {float(clock.fps)!r}\nseconds = {float(clock.exposure_s)!r}\n"

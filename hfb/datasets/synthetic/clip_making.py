@@ -1,6 +1,6 @@
 """Make a synthetic clip: one person of the embedded body before one static camera, with its truth.
 
-Frame by frame to the disk: memory does not grow with the length. The same bytes for the same arguments.
+Frames are written one by one, so memory does not grow with the length. The same arguments give the same bytes.
 """
 
 import math
@@ -37,13 +37,13 @@ from hfb.rendering.formation import compose
 from hfb.typing import Array, Float, Tensor
 
 _EVERY = 13
-"""Of the vertices, and of the instants, taken to aim the camera."""
+"""Stride of the vertices, and of the instants, that are used to aim the camera."""
 _AT_ONCE = 11
 _MARGIN_S = 0.1
 _NOISE = Sensor(0.003, 0.00005, 0.3)
 _BESIDE_FRAMES = ("background.png", "clip.toml", "truth.npz")
 _MADE = re.compile(r"# made by `hfb synth clip`: (\d{1,7}) frames(, clip\.mp4)?\n")
-"""First line of a made clip.toml: tells which files beside it may be replaced."""
+"""First line of a made clip.toml, which marks the files beside it as replaceable."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,9 @@ class MadeClip:
     """Files of one synthetic clip.
 
     Attributes:
-        source: the folder of its pictures, or its video. background: the clean plate. clip: its clip.toml.
+        source: the folder of its images, or its video.
+        background: the clean plate.
+        clip: its clip.toml.
         truth: the true motion (a motion file, many instants per exposure); frames without the person are left out.
     """
 
@@ -83,9 +85,9 @@ def make_clip(
     Args:
         folder: written to.
         frames: number of frames.
-        height: of the frames [px].
-        width: of the frames [px].
-        seed: of person, scenery, motion and noise.
+        height: height of the frames [px].
+        width: width of the frames [px].
+        seed: seed of person, scenery, motion and noise.
         fps: frames per second.
         shutter: share of the frame interval for which the shutter is open.
         gesture: number of the built-in motion; drawn by the seed where not given. A motion that is shorter than the
@@ -111,7 +113,7 @@ def make_clip(
         seen = _film(motion, body, betas, height, width, for_motion)
         gone = set(range(leaves[0], leaves[1] + 1)) if leaves else set()
         sensor = _NOISE if noise else NO_NOISE
-        # First of all, so that a clip that was stopped half-way is known for ours.
+        # Written first, so that an incomplete clip is recognised as ours.
         write_bytes_atomic(folder / "clip.toml", _clip_toml(seen.lens, fps, shutter, frames, video).encode())
         write_png(folder / "background.png", sensor.expose(plate, for_sensor, sensor.plate_share))
         pictures = _expose(seen, body, scenery.texture_linear, plate, gone, sensor, for_sensor, on_progress)
@@ -132,12 +134,12 @@ def _make_room(folder: Path) -> None:
             f"{folder} holds {strange[0]}, which `hfb synth clip` did not put there: "
             "move it away, or choose another --out"
         )
-    for name in there - {"clip.toml"}:  # which tells that they are ours, until it is replaced
+    for name in there - {"clip.toml"}:  # which marks them as ours, until it is replaced
         (folder / name).unlink()
 
 
 def _made_before(folder: Path) -> set[str]:
-    """The files of an earlier clip, by what its clip.toml says."""
+    """Return the files of an earlier clip, by its clip.toml."""
     try:
         with (folder / "clip.toml").open(encoding="utf-8", errors="replace") as file:
             made = _MADE.fullmatch(file.readline(80))
@@ -185,7 +187,7 @@ def _motion(
 
 
 def _within(times_s: Float[Array, "R"], clip: MotionClip) -> Float[Array, "R"]:
-    """Times in the recording: straight on where it is long enough, else back and forth, never faster than it was."""
+    """Return times in the recording: in order where it is long enough, else back and forth, never faster."""
     lasts_s = (len(clip.poses) - 1) / clip.fps - 2 * _MARGIN_S
     if times_s[-1] <= lasts_s:
         return times_s + _MARGIN_S
@@ -195,7 +197,7 @@ def _within(times_s: Float[Array, "R"], clip: MotionClip) -> Float[Array, "R"]:
 def _film(
     motion: _WorldMotion, body: Body, betas: Float[Array, "10"], height: int, width: int, rng: np.random.Generator
 ) -> _Film:
-    """Aim a camera that sees the whole motion, and take the motion into its coordinates."""
+    """Aim a camera that shows the whole motion, and transform the motion to its coordinates."""
     shaped = body.shape(torch.from_numpy(betas).float())
     few = slice(None, None, _EVERY)
     rotations = axis_angle_to_matrix(torch.from_numpy(motion.poses[few]).float())
@@ -233,7 +235,7 @@ def _expose(
     rng: np.random.Generator,
     on_progress: Callable[[int, int], None] | None,
 ) -> Iterator[Float[Array, "H W 3"]]:
-    """The blurred frames as the camera stores them (sRGB), one after another."""
+    """Yield the blurred frames as the camera stores them (sRGB)."""
     motion, rasterizer = film.motion, make_rasterizer("coverage", "cpu", 1)
     shaped = body.shape(torch.from_numpy(motion.betas).float())
     count = int(motion.frame_index[-1]) + 1

@@ -13,7 +13,7 @@ from hfb.typing import Array, Float, Tensor
 
 _THINNEST_M, _THICKEST_M = 0.005, 0.04
 _ROUNDS = 80
-"""Of averaging over neighbours: with triangles of 2 cm, the thickness varies over a decimetre or two."""
+"""Rounds of averaging over neighbours: with triangles of 2 cm, the thickness varies over a decimetre or two."""
 
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3", "left_hip", "right_hip", "left_shoulder", "right_shoulder")
 _CLOSE = ("left_collar", "right_collar")
@@ -27,7 +27,7 @@ def draw_clothing(body: Body, rng: np.random.Generator) -> Float[Array, "V 3"]:
 
     Args:
         body: the undressed body.
-        rng: of the outfit.
+        rng: draws the outfit.
     """
     loose = dict.fromkeys(_TRUNK, 1.0) | dict.fromkeys(_CLOSE, 0.8)
     for part in (_SLEEVES, _LEGS):
@@ -85,7 +85,7 @@ def vertex_normals(body: Body) -> Float[Array, "V 3"]:
 
 
 def _bare(body: Body) -> Array:
-    """Vertices that belong to hands, feet, neck or head more than to anything that is clothed."""
+    """Return the vertices that belong to hands, feet, neck or head more than to any clothed part."""
     clothed = {*_TRUNK, *_CLOSE, *_SLEEVES, *_LEGS}
     skin: Tensor = body.skinning_weights[:, [name not in clothed for name in JOINT_NAMES]]
     return (skin.sum(1) > 0.5).numpy()
@@ -93,7 +93,7 @@ def _bare(body: Body) -> Array:
 
 @lru_cache(maxsize=2)
 def _average_of_neighbours(body: Body) -> sparse.csr_array:
-    """Mean of each vertex and its neighbours along edges."""
+    """Return mean of each vertex and its neighbours along edges."""
     ends, count = body.mesh.edge_vertices.numpy(), len(body.template)
     rows, columns = np.concatenate([ends, ends[:, ::-1], np.arange(count)[:, None].repeat(2, 1)]).T
     links = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))

@@ -1,4 +1,4 @@
-"""The clocks of synthetic cases: how long the shutter may be open, and at which instants the truth is known."""
+"""The clocks of synthetic cases: possible exposures, and the instants of the truth."""
 
 import math
 from dataclasses import dataclass
@@ -22,8 +22,9 @@ class Clock:
     """T exposures of one camera, in seconds of a recording.
 
     Attributes:
-        start_s: when the first shutter opens, from the recording's first frame.
-        exposure_s: each time. interval_s: from opening to opening; exactly 1 / fps of the file that tells it.
+        start_s: first opening of the shutter, from the recording's first frame.
+        exposure_s: length of each exposure.
+        interval_s: time from opening to opening; exactly 1 / fps of the file that states it.
         instants: per exposure, both ends included.
     """
 
@@ -35,7 +36,7 @@ class Clock:
 
     @property
     def fps(self) -> float:
-        """Pictures per second."""
+        """Images per second."""
         return 1 / self.interval_s
 
     def times_s(self) -> Float[Array, "R"]:
@@ -45,10 +46,11 @@ class Clock:
 
 @dataclass(frozen=True)
 class Shutter:
-    """What may be chosen of a clock.
+    """The possible exposures of a set.
 
     Attributes:
-        exposures_s: possible exposure times, ascending. grid_hz: of which all instants are multiples; None for any.
+        exposures_s: possible exposure times, ascending.
+        grid_hz: grid of which all instants are multiples; None for any.
     """
 
     exposures_s: tuple[float, ...]
@@ -87,7 +89,7 @@ class Shutter:
 
 
 def _instant_sevenths(steps: int) -> list[int]:
-    """Which k make 7 k equal steps out of an exposure of that many grid steps."""
+    """Return each k for which 7 k equal steps fill an exposure of that many grid steps."""
     return [k for k in _SEVENTHS if steps % (7 * k) == 0]
 
 
@@ -97,7 +99,7 @@ def shutter_of(name: Literal["bt-amass", "bc-cape"]) -> Shutter:
     BT-AMASS: 5 to 60 frames of 120 fps. BC-CAPE: instants of 600 fps, 58 to 467 ms of them.
 
     Args:
-        name: of the set.
+        name: name of the set.
     """
     if name == "bt-amass":
         return Shutter(tuple(count / _AMASS_HZ for count in _AMASS_FRAMES), None)
@@ -110,6 +112,6 @@ def draw_gap(rng: np.random.Generator) -> float:
     """Draw the time between two exposures, in units of one.
 
     Args:
-        rng: of the gap.
+        rng: draws the gap.
     """
     return float(rng.uniform(0, _LARGEST_GAP))

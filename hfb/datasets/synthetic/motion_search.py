@@ -1,4 +1,4 @@
-"""Find the piece of a motion, and the camera, whose blur rate is wanted."""
+"""Search for a piece of a motion, and a camera, of a wanted blur rate."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ _DRAWS, _DRAWS_PER_CLIP = 240, 4
 _CORRECTIONS = 5
 _COARSE_PX, _COARSE_INSTANTS = 64, 15
 _EVERY = 13
-"""Of the vertices, taken to aim the camera."""
+"""Stride of the vertices that are used to aim the camera."""
 _FIRST_GUESS_S = 0.15
 _SEEN = 0.95
 """Few instants leave gaps in a fast union: a rough blur rate is a few percent too low."""
@@ -32,7 +32,9 @@ class Candidate:
     """A piece of a motion as a camera sees it.
 
     Attributes:
-        clip: the motion. number: of that motion in its source. blur_rate: roughly, from small pictures.
+        clip: the motion.
+        number: number of that motion in its source.
+        blur_rate: roughly, from small images.
     """
 
     clip: MotionClip
@@ -45,7 +47,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class _Draw:
-    """Everything that is random about one try."""
+    """All random numbers of one attempt."""
 
     start: float
     gap: float
@@ -78,7 +80,7 @@ def candidates(
         any_length: draw the exposure time too and take what blur comes of it.
         frames: exposures per case.
         size_px: side of the square images.
-        rng: of motions, times and cameras.
+        rng: draws motions, times and cameras.
     """
     clip, number, person = None, -1, None
     for attempt in range(_DRAWS):
@@ -100,7 +102,7 @@ def candidates(
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A start and a camera; what is left is the exposure time."""
+    """A start and a camera; only the exposure time is open."""
 
     clip: MotionClip
     person: ShapedBody
@@ -130,7 +132,7 @@ class _Piece:
         return None
 
     def at_any_length(self, wanted: Interval) -> tuple[Clock, PlacedCamera, float] | None:
-        """The exposure time is drawn like the rest."""
+        """Draw the exposure time, too."""
         longest = self._longest()
         if longest < 0:
             return None
@@ -141,17 +143,17 @@ class _Piece:
         return (len(self.clip.poses) - 1) / self.clip.fps
 
     def _span_s(self, exposure: int) -> float:
-        """From the first opening to the last closing, with room for rounding to a grid."""
+        """Return the time from the first opening to the last closing, with a margin for rounding to a grid."""
         rounding_s = 0 if self.shutter.grid_hz is None else (self.frames + 1) / self.shutter.grid_hz
         return self.shutter.exposures_s[exposure] * (self.frames + (self.frames - 1) * self.draw.gap) + rounding_s
 
     def _longest(self) -> int:
-        """The longest exposure for which the motion lasts; -1 where it is too short for any."""
+        """Return the longest exposure that the motion allows; -1 where it is too short for any."""
         fitting = (index for index in range(len(self.shutter.exposures_s)) if self._span_s(index) <= self._duration_s())
         return max(fitting, default=-1)
 
     def _look(self, exposure: int) -> tuple[Clock, PlacedCamera, float]:
-        """Clock, camera and blur rate, from small silhouettes at few instants."""
+        """Return clock, camera and blur rate, from small silhouettes at few instants."""
         latest = self._duration_s() - self._span_s(exposure)
         start_s = min(self.draw.start * (self._duration_s() - self._span_s(0)), latest)
         coarse = replace(
@@ -172,7 +174,7 @@ class _Piece:
         return clock, camera, float(blur_rates(by_frame).mean())
 
     def _fastest_px(self, joints: Float[Array, "R 24 3"], camera: PlacedCamera) -> float:
-        """The greatest speed of any joint in the full picture [px per exposure]."""
+        """Return the greatest speed of any joint in the full image [px per exposure]."""
         here = joints @ camera.R_camera_world.T + camera.offset
         screen = camera.lens.fx * here[..., :2] / np.maximum(here[..., 2:], 0.2)
         by_frame = screen.reshape(self.frames, _COARSE_INSTANTS, *screen.shape[1:])

@@ -1,4 +1,4 @@
-"""What a synthetic picture shows besides the body's shape: a background, the body's texture, the light on it."""
+"""The scenery of a synthetic image: background, texture of the body, and light."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -29,12 +29,15 @@ _FROM_ABOVE = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Everything that a case's pictures are made of but the motion.
+    """Everything that a case's images show besides the motion.
 
     Attributes:
-        plate_linear: the clean background. texture_linear: of the person, (512, 512).
-        background, texture: file names, or "generated". light: factor by which the room's light changed the texture.
-        skipped: pictures that could not be read, with the reason.
+        plate_linear: the clean background.
+        texture_linear: texture of the person, (512, 512).
+        background: name of the background's file, or "generated".
+        texture: name of the texture's file, or "generated".
+        light: factor by which the room's light changed the texture.
+        skipped: images that could not be read, with the reason.
     """
 
     plate_linear: Float[Tensor, "H W 3"]
@@ -53,12 +56,12 @@ def draw_scenery(
     Args:
         backgrounds: folder of images, searched with its subfolders; generated where not given.
         textures: folder of images, likewise.
-        body: whose texture coordinates the texture is for.
+        body: model whose texture coordinates are used.
         size_px: side of the square background.
-        rng: of the choice.
+        rng: draws the choice.
 
     Raises:
-        InputError: a folder holds no picture that can be read.
+        InputError: a folder holds no image that can be read.
     """
     for_plate, for_texture = rng.spawn(2)
     skipped: dict[str, str] = {}
@@ -79,7 +82,7 @@ def draw_scenery(
 
 
 def _draw_picture(folder: Path, rng: np.random.Generator, skipped: dict[str, str]) -> tuple[Float[Array, "h w 3"], str]:
-    """A random picture of a folder and its name there; those that are damaged are passed over and noted."""
+    """Draw a random image of a folder and return it with its name; damaged ones are skipped and recorded."""
     names = _pictures_in(folder)
     reasons: dict[str, str] = {}
     for index in rng.permutation(len(names)):
@@ -96,7 +99,7 @@ def _draw_picture(folder: Path, rng: np.random.Generator, skipped: dict[str, str
 
 @lru_cache(maxsize=8)
 def _pictures_in(folder: Path) -> tuple[str, ...]:
-    """Relative paths of what looks like a picture, in an order that no file system decides."""
+    """Return relative paths of image files, in an order that does not depend on the file system."""
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give a folder of PNG or JPEG files")
     found = (path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS and path.is_file())
@@ -104,7 +107,7 @@ def _pictures_in(folder: Path) -> tuple[str, ...]:
 
 
 def _crop(picture_srgb: Float[Array, "h w 3"], size_px: int, rng: np.random.Generator) -> Float[Array, "H W 3"]:
-    """A random square of a picture at the wanted size, averaged in linear light."""
+    """Return a random square of an image at the wanted size, averaged in linear light."""
     height, width = picture_srgb.shape[:2]
     side = max(int(min(height, width) * rng.uniform(*_CROP)), 1)
     top, left = (int(rng.integers(0, room + 1)) for room in (height - side, width - side))
@@ -124,14 +127,14 @@ def _as_texture(picture_srgb: Float[Array, "h w 3"], body: Body) -> Float[Tensor
 
 
 def _muted(texture_linear: Float[Tensor, "A A 3"], rng: np.random.Generator) -> Float[Tensor, "A A 3"]:
-    """Generated clothes have the colours of felt pens; cloth has less of them."""
+    """Desaturate generated clothes, whose colours are those of felt pens, to those of cloth."""
     gray = texture_linear.mean(-1, keepdim=True)
     return gray + float(rng.uniform(*_SATURATION)) * (texture_linear - gray)
 
 
 @lru_cache(maxsize=2)
 def _light_from_above(body: Body) -> Float[Tensor, "A A 1"]:
-    """How much light reaches each texel of a body that stands in a room: most from above, some from everywhere."""
+    """Return the light at each texel of a body in a room: most from above, some from everywhere."""
     corners = vertex_normals(body)[body.mesh.faces.numpy()][..., 1].mean(1)
     owner = texel_faces(body.mesh, TEXTURE_PX)
     upward = np.append(corners, 0.0)[owner.numpy()]  # the void has index -1: no direction

@@ -1,4 +1,4 @@
-"""The true sub-frames of a case as one picture: eight cut-outs side by side, for people and for evaluation."""
+"""The true sub-frames of a case as one image: eight cut-outs side by side, to look at and for evaluation."""
 
 from pathlib import Path
 
@@ -13,16 +13,16 @@ from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.typing import Array, Float
 
 SHARP_SUBFRAMES = 8
-"""At u = i / 7: the instants of a fit with eight sub-frames."""
+"""Number of sub-frames at u = i / 7, the instants of a fit with eight sub-frames."""
 
 
 def save_sharp(path: Path, pictures: Float[Array, "8 H W 4"]) -> list[int]:
     """Write premultiplied linear sub-frames as straight sRGB with alpha, 8 bit; return their common box.
 
-    The box is (left, top, width, height) [px] within the full picture; the file holds eight of it, side by side.
+    The box is (left, top, width, height) [px] within the full image; the file holds eight of it, side by side.
 
     Args:
-        path: of the PNG.
+        path: the PNG file.
         pictures: premultiplied linear colour and silhouette.
     """
     alphas = pictures[..., 3].max(0)
@@ -47,7 +47,7 @@ def load_sharp(case: Case, frame: int) -> Float[Array, "8 H W 4"]:
     Colours are those of the 8-bit file.
 
     Args:
-        case: of a set.
+        case: a case of a set.
         frame: its number.
 
     Raises:

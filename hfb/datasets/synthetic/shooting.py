@@ -1,4 +1,4 @@
-"""Take the pictures of a motion: many sub-frames, averaged in linear light over the plate, as a sensor would."""
+"""Rendering of a motion's frames: many sub-frames, averaged in linear light over the plate, with sensor noise."""
 
 from dataclasses import dataclass
 
@@ -22,10 +22,11 @@ _HALF_LIGHT_NOISE, _PLATE_NOISE = (0.004, 0.01), (0.2, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One exposure before it meets the plate.
+    """One exposure before it is composed over the plate.
 
     Attributes:
-        mean: of all sub-frames, premultiplied linear colour and silhouette. silhouettes: per instant, at half coverage.
+        mean: mean of all sub-frames, premultiplied linear colour and silhouette.
+        silhouettes: per instant, at half coverage.
         sharp: the eight sub-frames at u = i / 7.
     """
 
@@ -49,8 +50,8 @@ class Sensor:
 
         Args:
             linear: linear light.
-            rng: of the noise.
-            share: of the standard deviation.
+            rng: draws the noise.
+            share: share of the standard deviation.
         """
         light = linear.double().numpy()
         sigma = share * np.sqrt(self.read**2 + self.shot * np.clip(light, 0, None))
@@ -61,7 +62,7 @@ def draw_sensor(rng: np.random.Generator) -> Sensor:
     """Draw a noise of .004 to .01 at half of full light, one part of it read noise.
 
     Args:
-        rng: of the sensor.
+        rng: draws the sensor.
     """
     total, read, plate = rng.uniform(*_HALF_LIGHT_NOISE), rng.uniform(0.2, 0.6), rng.uniform(*_PLATE_NOISE)
     return Sensor(float(total * read), float(2 * total**2 * (1 - read**2)), float(plate))
@@ -80,7 +81,7 @@ def shoot(
         frame: its number.
         body: model of the motion.
         texture: linear light.
-        camera: of the frame.
+        camera: camera of the frame.
     """
     rows = motion.rows_of(frame)
     rotations = axis_angle_to_matrix(torch.from_numpy(motion.poses[rows]).float().unflatten(1, (24, 3)))
@@ -110,7 +111,7 @@ def develop(
         shot: sub-frames of one frame.
         plate_linear: background, linear light.
         sensor: its noise.
-        rng: of the noise.
+        rng: draws the noise.
     """
     return sensor.expose(compose(shot.mean, plate_linear), rng)
 

@@ -1,7 +1,7 @@
 """Make one case of a synthetic set: a person in motion, photographed with an open shutter.
 
-The truth is drawn from a denser (and, in bc-cape, clothed) surface than the one that is fitted, at more instants, with
-sensor noise and 8-bit files: what fits it must not profit from having made it.
+The truth is rendered from a denser (and, in bc-cape, clothed) surface than the fitted one, at more instants, with
+sensor noise and 8-bit files, so that a fit has no advantage from sharing the generator's model.
 """
 
 from collections import OrderedDict
@@ -48,16 +48,16 @@ _KEPT_BYTES = 256 << 20
 def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -> Case:
     """Make case `number` (from 1) of a set in a folder: every file that `hfb.datasets.case` names.
 
-    The same bytes for the same set, number and usable motions, whatever else is made, where and by how many.
+    The bytes depend only on the set, the number and the usable motions.
 
     Args:
-        spec: of the set.
-        number: of the case, from 1.
+        spec: specification of the set.
+        number: number of the case, from 1.
         usable: numbers of the motions that can be read, see `hfb.datasets.motions.sources.usable`.
         folder: written to.
 
     Raises:
-        InputError: no motion has the blur that is wanted, or a folder of pictures holds none.
+        InputError: no motion has the blur that is wanted, or a folder of images holds none.
     """
     if not usable:
         raise InputError("no motion can be read; give a folder with AMASS .npz or .bvh files, or none")
@@ -84,7 +84,7 @@ def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -
 
 @dataclass(frozen=True, eq=False)
 class _Actor:
-    """A person: the mesh that is fitted, the one that is photographed, and what is worn over both."""
+    """A person: the mesh that is fitted, the one that is rendered, and the clothes of both."""
 
     fit_body: Body
     truth_body: Body
@@ -92,13 +92,13 @@ class _Actor:
     clothing: Float[Array, "V 3"] | None
 
     def quick(self, clip: MotionClip) -> ShapedBody:
-        """In this motion's clothes, on the mesh with fewer triangles."""
+        """Return the person in this motion's clothes, on the mesh with fewer triangles."""
         clothing = self._worn(clip)
         body = self.fit_body if clothing is None else dress(self.fit_body, clothing)
         return body.shape(torch.from_numpy(self.betas).float())
 
     def photographed(self, clip: MotionClip) -> Body:
-        """In this motion's clothes, as the truth shows the person."""
+        """Return the person in this motion's clothes, as the truth shows them."""
         clothing = self._worn(clip)
         if clothing is None:
             return self.truth_body
@@ -120,7 +120,7 @@ def _draw_actor(spec: SetSpec, rng: np.random.Generator) -> _Actor:
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """What was photographed, and the exposures."""
+    """The scenery and the exposures."""
 
     found: Candidate
     truth: Truth
@@ -135,7 +135,7 @@ class _Scene:
 def _find_scene(
     spec: SetSpec, usable: Sequence[int], wanted: Interval, actor: _Actor, scenery: Scenery, rng: np.random.Generator
 ) -> _Scene:
-    """The first candidate whose full-size truth has the wanted blur rate and keeps off the picture's border."""
+    """Return the first candidate whose full-size truth has the wanted blur rate and a margin to the image's border."""
     found = candidates(
         _loader(spec),
         usable,
@@ -162,7 +162,7 @@ def _find_scene(
 
 
 def _motion(found: Candidate, actor: _Actor) -> SampledMotion:
-    """The true motion in camera coordinates at every instant."""
+    """Return the true motion in camera coordinates at every instant."""
     clock: Clock = found.clock
     poses, translations = resample(found.clip, clock.times_s())
     body = actor.fit_body
@@ -187,7 +187,7 @@ def _motion(found: Candidate, actor: _Actor) -> SampledMotion:
 
 @lru_cache(maxsize=2)
 def _bodies(path: Path | None) -> tuple[Body, Body]:
-    """The mesh that is fitted and the denser one that is photographed."""
+    """Return the mesh that is fitted and the denser one that is rendered."""
     body = load_body(path)
     return body, subdivide(body)
 
@@ -198,7 +198,7 @@ def _source(folder: Path | None, seed: int) -> MotionSource:
 
 
 class _Shelf:
-    """Motions read lately: a set draws from the same ones again and again."""
+    """A cache of motions that were read recently."""
 
     def __init__(self, source: MotionSource) -> None:
         self._source = source

@@ -25,9 +25,9 @@ def clothes_texture(body: Body, size: int, rng: np.random.Generator) -> Float[Te
     rest body's own coordinates and so runs across the atlas' seams.
 
     Args:
-        body: whose texture coordinates are used.
+        body: model whose texture coordinates are used.
         size: A, the texture's side [texels].
-        rng: of colours and pattern.
+        rng: draws colours and pattern.
     """
     faces = texel_faces(body.mesh, size).numpy()
     face_vertices = body.mesh.faces.numpy()

@@ -12,7 +12,7 @@ _AZIMUTH_DEG, _ELEVATION_DEG, _ROLL_DEG = 70.0, (-5.0, 20.0), 3.0
 _DIAGONAL_FIELD_DEG = (35.0, 65.0)
 _FILLED = (0.55, 0.85)
 _MARGIN = 0.05
-"""Of the picture's side, kept free on every side of the person."""
+"""Share of the image's side that is kept free on every side of the person."""
 _ROUNDS = 8
 _UPRIGHT = 0.3
 """A front whose horizontal part is shorter than this is no direction to look from: the person lies, or bends far."""
@@ -20,12 +20,14 @@ _UPRIGHT = 0.3
 
 @dataclass(frozen=True)
 class View:
-    """What is free in a camera that looks at a person.
+    """The free parameters of a camera that looks at a person.
 
     Attributes:
-        azimuth_deg: about the world's vertical, from the person's front. elevation_deg: from above where positive.
-        roll_deg: about the line of sight. diagonal_field_deg: between opposite corners of the picture.
-        filled: share of the picture's side that the longer side of the person's box takes.
+        azimuth_deg: angle about the world's vertical, from the person's front.
+        elevation_deg: elevation above the horizontal.
+        roll_deg: angle about the line of sight.
+        diagonal_field_deg: between opposite corners of the image.
+        filled: share of the image's side that the longer side of the person's box takes.
         aside: in [-1, 1], where the box lies (x, y) within what is left.
     """
 
@@ -50,7 +52,7 @@ def draw_view(rng: np.random.Generator) -> View:
     """Draw a camera in front of the person, mostly a little above the hips.
 
     Args:
-        rng: of the view.
+        rng: draws the view.
     """
     x, y = rng.uniform(-1, 1, 2)
     return View(
@@ -66,7 +68,7 @@ def draw_view(rng: np.random.Generator) -> View:
 def front_of(root: Float[Array, "3"]) -> Float[Array, "3"]:
     """Return the horizontal direction that a person with this root rotation faces.
 
-    Where the face looks up or down, the direction from hips to head stands in; then +z.
+    Where the face looks up or down, the direction from hips to head is used instead; then +z.
 
     Args:
         root: axis-angle [rad], body to world.
@@ -97,7 +99,7 @@ def place(view: View, front: Float[Array, "3"], points: Float[Array, "N 3"], siz
     down = np.cross(forward, right)
     right, down = np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right
     R_camera_world = np.stack([right, down, forward])
-    focal = np.sqrt(0.5) / np.tan(np.deg2rad(view.diagonal_field_deg) / 2)  # of a picture of side 1
+    focal = np.sqrt(0.5) / np.tan(np.deg2rad(view.diagonal_field_deg) / 2)  # of an image of side 1
     seen = R_camera_world @ points.T
     extent = np.ptp(seen, axis=1)
     offset = -(seen.min(1) + seen.max(1)) / 2

@@ -1,4 +1,4 @@
-"""From a method's spec to the method."""
+"""Construction of a method from its spec."""
 
 from hfb.body.model import Body
 from hfb.config import InitConfig
@@ -43,7 +43,7 @@ def make_method(spec: MethodSpec, body: Body) -> Method:
 
 
 def _plain(spec: MethodSpec, body: Body) -> Method:
-    """Without the oracles that only change what a method is shown."""
+    """Build the method without the oracles that only change its input."""
     subframes = spec.config.fit.subframes
     if spec.kind in ("static", "interpolated"):
         return Static(spec.name, spec.kind == "interpolated", subframes, body)

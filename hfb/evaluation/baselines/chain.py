@@ -28,7 +28,14 @@ from hfb.typing import Array, Float, Tensor
 
 
 class Chain:
-    """Sub-frames out of every blurred frame, an estimate on each, interpolated to the clock of the prediction."""
+    """Sub-frames of every blurred frame, an estimate in each, interpolated to the clock of the prediction.
+
+    Args:
+        name: name of the method.
+        chain: its table in the chains file.
+        subframes: rows per frame of the prediction.
+        body: model of the prediction.
+    """
 
     def __init__(self, name: str, chain: ChainSpec, subframes: int, body: Body) -> None:
         self.name = name
@@ -47,7 +54,7 @@ class Chain:
             self._estimator = NetworkEstimator(load_network(chain.estimator), chain.estimator_layout)
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses, or joints where the estimator knows no more; of the case only its number is used."""
+        """Predict poses, or joints where the estimator gives no more; of the case only its number is used."""
         started = time.perf_counter()
         frames = len(observation.mattes)
         with one_torch_thread():
@@ -76,7 +83,7 @@ class Chain:
         return estimates
 
     def _matte(self, picture_srgb: Float[Array, "H W 3"], observation: Observation) -> Float[Tensor, "H W"]:
-        """Of a deblurred picture: the blurred frame's would show where the person was at other times."""
+        """Return the matte of a deblurred image; the blurred frame's would include other times."""
         picture = srgb_to_linear(picture_srgb) if observation.light == "linear" else picture_srgb
         return torch.from_numpy(self._matting(picture.astype(np.float32), observation.plate_linear))
 
@@ -89,7 +96,7 @@ def found_in(estimate: Callable[[int], Estimate], count: int) -> list[Estimate |
         count: number of sub-frames.
 
     Raises:
-        InputError: the last reason, where no sub-frame shows anybody.
+        InputError: the last reason, where the person is found in no sub-frame.
     """
     found: list[Estimate | None] = []
     reason: InputError | None = None

@@ -1,4 +1,4 @@
-"""chains.toml: deblur-then-estimate baselines out of a user's own networks, pictures and poses.
+"""chains.toml: deblur-then-estimate baselines with a user's own networks, images and poses.
 
     [bin-metro]                            # a method's name for --methods
     deblurrer = "bin.pt"                   # TorchScript or ONNX; or pictures = "DIR"; neither: the blurred frame itself
@@ -51,7 +51,7 @@ _BUILT_IN = ("mediapipe", "matte")
 
 
 class DeblurrerLayout(Record):
-    """What a deblurring network takes and gives."""
+    """Input and output of a deblurring network."""
 
     frames: Literal["one", "stacked", "list"] = "one"
     normalisation: Normalisation = "unit"
@@ -68,7 +68,7 @@ class DeblurrerLayout(Record):
 
 
 class EstimatorLayout(Record):
-    """What a pose network takes and gives."""
+    """Input and output of a pose network."""
 
     size_px: int = Field(224, ge=8, le=4096)
     margin: float = Field(1.2, gt=0, le=4)
@@ -83,7 +83,7 @@ class EstimatorLayout(Record):
 
     @property
     def says_pose(self) -> bool:
-        """Whether any output is named that tells where the limbs are."""
+        """Return whether any output is named from which limbs can be computed."""
         return any(output is not None for output in (self.pose, self.joints, self.vertices))
 
 
@@ -134,7 +134,7 @@ def read_chains(path: Path) -> dict[str, ChainSpec]:
 
 
 def _absolute(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Paths from the chains file's own place; TOML's texts and lists as pydantic's strict kinds want them."""
+    """Resolve paths against the chains file's folder, and convert TOML's texts and lists to pydantic's strict types."""
     content = dict(table)
     for key in ("deblurrer", "pictures", "estimator", "poses"):
         value = content.get(key)

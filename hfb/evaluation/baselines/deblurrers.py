@@ -1,4 +1,4 @@
-"""From a blurred frame to sharp sub-frames: by a user's network, or out of a folder that some system filled."""
+"""Deblurring of a frame to sharp sub-frames: by a user's network, or from another system's folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ class SharpPictures:
     """Estimated sub-frames of every frame.
 
     Attributes:
-        times: of a frame's sub-frames, in exposures.
+        times: times of a frame's sub-frames, in exposures.
     """
 
     pictures_srgb: Float[Array, "T M H W 3"]
@@ -30,7 +30,11 @@ class SharpPictures:
 
 
 class Deblurrer:
-    """What a chain's table says: a network, a folder of pictures, or nothing, which leaves the frames as they are."""
+    """The deblurrer of a chain's table: a network, a folder of images, or none, which keeps the frames.
+
+    Args:
+        chain: table of the chains file.
+    """
 
     def __init__(self, chain: ChainSpec) -> None:
         self._layout = chain.deblurrer_layout
@@ -39,10 +43,14 @@ class Deblurrer:
         self.changes_pictures = self._network is not None or self._folder is not None
 
     def __call__(self, case: Case, observation: Observation) -> SharpPictures:
-        """Sub-frames of all frames.
+        """Return the sub-frames of all frames.
+
+        Args:
+            case: gives the number by which stored images are found.
+            observation: the blurred frames.
 
         Raises:
-            InputError: the network fails, or the folder lacks this case's pictures.
+            InputError: the network fails, or the folder lacks this case's images.
         """
         frames = [frame.numpy() for frame in observation.to_srgb(observation.frames_linear)]
         if self._network is not None:
@@ -107,7 +115,7 @@ def _planes(array: Float[Array, "..."], size: tuple[int, ...], source: Path) -> 
 
 
 def _stored(folder: Path, frame: int, shape: tuple[int, ...]) -> Float[Array, "M H W 3"]:
-    """A system's pictures of one frame, in the order of their names, or those of a video."""
+    """Read a system's images of one frame, in the order of their names, or those of a video."""
     inner, video = folder / f"frame_{frame}", folder / f"frame_{frame}.mp4"
     if inner.is_dir():
         pictures = [read_picture_srgb(path) for path in sorted(inner.iterdir()) if not path.name.startswith(".")]

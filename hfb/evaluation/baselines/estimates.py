@@ -1,4 +1,4 @@
-"""Single estimates of a body, whatever a system knows of it, and how they become a prediction."""
+"""Single estimates of a body, complete or not, and their conversion to a prediction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +16,12 @@ from hfb.typing import Array, Float, Tensor
 
 @dataclass(frozen=True)
 class Estimate:
-    """One instant: a pose, or joints alone.
+    """The estimate at one instant: a pose, or joints alone.
 
     Attributes:
         pose: axis-angle [rad], camera frame; None where only joints are known.
-        translation, betas: None where the system does not say; then the start's hold.
+        translation: None where the system does not say; then the start's hold.
+        betas: None where the system does not say; then the start's hold.
         joints: [m], camera axes; NaN where a joint of the 24 is not known.
     """
 
@@ -49,12 +50,12 @@ def interpolate(
 ) -> tuple[SampledMotion | None, Float[Array, "R 24 3"] | None]:
     """Interpolate estimates to a prediction's rows: (motion, None), or (None, joints) where no poses are known.
 
-    Between its estimates a frame's body moves along straight lines and great circles, beyond them it is held. One
-    estimate per frame is interpolated from frame to frame.
+    Within a frame the body moves between its estimates along straight lines and great circles, and is held beyond them.
+    A single estimate per frame is interpolated from frame to frame.
 
     Args:
-        estimates: of each frame's sub-frames, None where the person was not found; at least one per frame.
-        times: of the sub-frames, in exposures.
+        estimates: estimates of each frame's sub-frames, None where the person was not found; at least one per frame.
+        times: times of the sub-frames, in exposures.
         observation: the blurred frames with their clock.
         starts: first body of each frame, used for what an estimate lacks.
         body: model of the result.
@@ -87,7 +88,7 @@ def interpolate(
 def _tracks(
     rows_s: Float[Array, "R"], known_s: Float[Array, "M"], found: Sequence[Estimate], starts: Sequence[FirstBody]
 ) -> tuple[Tensor | None, Tensor, Tensor]:
-    """Poses (None where there are none), translations and joints at the rows."""
+    """Return poses (None without any), translations and joints at the rows."""
     places = [
         start.translation if one.translation is None else one.translation
         for one, start in zip(found, starts, strict=True)

@@ -1,4 +1,4 @@
-"""From a sharp picture to a body: a user's network, or one of the estimators that a fit starts from."""
+"""Pose estimation from a sharp image: by a user's network, or by an initialiser."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -25,7 +25,7 @@ _HALF_TURN = (torch.pi, 0.0, 0.0)  # about x: from y up, z towards the viewer, t
 
 @dataclass(frozen=True)
 class Sight:
-    """One sub-frame, as an estimator may see it.
+    """One sub-frame as the input of an estimator.
 
     Attributes:
         person: the box is around this matte's person; the blurred frame's matte does.
@@ -39,15 +39,27 @@ class Sight:
 
 @runtime_checkable
 class Estimator(Protocol):
-    """A body out of one picture."""
+    """Estimates a body from one image."""
 
     def __call__(self, sight: Sight, body: Body) -> Estimate:
-        """Raises InputError where it finds nobody."""
+        """Estimate the body.
+
+        Args:
+            sight: the sub-frame.
+            body: model of the estimate.
+
+        Raises:
+            InputError: no person is found.
+        """
         ...
 
 
 class InitializerEstimator:
-    """One of our own initialisers; the matte must belong to the very picture."""
+    """One of hfb's initialisers; the matte must belong to the same image.
+
+    Args:
+        initializer: estimates the body.
+    """
 
     def __init__(self, initializer: Initializer) -> None:
         self._initializer = initializer
@@ -59,7 +71,12 @@ class InitializerEstimator:
 
 
 class NetworkEstimator:
-    """A user's network on a square crop around the person."""
+    """A user's network on a square crop around the person.
+
+    Args:
+        network: the user's network.
+        layout: its inputs and outputs.
+    """
 
     def __init__(self, network: Network, layout: EstimatorLayout) -> None:
         self._network = network
@@ -77,7 +94,7 @@ class NetworkEstimator:
         if layout.camera is not None:
             scale, x, y = _numbers(outputs, layout.camera, 3).tolist()
             place = weak_perspective_place(scale, x, y, (left + side / 2, top + side / 2), side, sight.camera)
-        if layout.betas is not None and body.betas_space == "smpl":  # another body's betas mean nothing to ours
+        if layout.betas is not None and body.betas_space == "smpl":  # another body's betas are meaningless for ours
             betas = torch.from_numpy(_numbers(outputs, layout.betas, 10))
         return Estimate(_pose(outputs, layout), place, betas)
 
@@ -101,7 +118,7 @@ def _pose(outputs: Outputs, layout: EstimatorLayout) -> Float[Tensor, "24 3"]:
     if kind == "axis-angle":
         pose = numbers
     else:
-        # A network's matrix is a rotation only nearly: its first two columns, made orthonormal, are one.
+        # A network's matrix is only nearly a rotation: its first two columns are made orthonormal.
         columns = numbers if kind == "6D" else numbers.reshape(24, 3, 3)[..., :2].transpose(1, 2).reshape(24, 6)
         pose = matrix_to_axis_angle(six_d_to_matrix(columns))
     if layout.y_up:
@@ -111,7 +128,7 @@ def _pose(outputs: Outputs, layout: EstimatorLayout) -> Float[Tensor, "24 3"]:
 
 
 def _joints(outputs: Outputs, layout: EstimatorLayout, body: Body) -> Float[Array, "24 3"]:
-    """From the mesh where it is the body model's own, else the network's own joints."""
+    """Return joints from the mesh where it is the body model's own, else the network's joints."""
     key = layout.joints if layout.vertices is None else layout.vertices
     assert key is not None
     points = _points(outputs, key)
@@ -132,9 +149,9 @@ def regress_joints(vertices: Float[Array, "V 3"], body: Body, source: str) -> Fl
     """Regress SMPL's joints from a mesh.
 
     Args:
-        vertices: of the mesh [m].
+        vertices: vertices of the mesh [m].
         body: the model whose regressor is used.
-        source: where the mesh is from, for the error message.
+        source: origin of the mesh, named in errors.
 
     Raises:
         InputError: the mesh is not the body model's.

@@ -15,6 +15,7 @@ from hfb.evaluation.baselines.rows import row_times_s
 from hfb.evaluation.prediction import Prediction
 from hfb.evaluation.protocol import pose_rows
 from hfb.fitting.fit import FitResult, fit
+from hfb.initialization.fronts import find_other_front
 from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.sampled import SampledMotion
 from hfb.motion.static_pose import FirstBody
@@ -26,7 +27,14 @@ from hfb.typing import Array, Float
 
 
 class HumanFromBlur:
-    """A fit by eq. (11), of all frames together or of each alone, drawn with exact silhouettes at every row."""
+    """A fit by eq. (11), of all frames together or of each alone, drawn with exact silhouettes at every row.
+
+    Args:
+        name: name of the method.
+        config: options of the fit.
+        frames_alone: fit every frame separately.
+        body: model that is fitted.
+    """
 
     def __init__(self, name: str, config: RunConfig, frames_alone: bool, body: Body) -> None:
         self.name = name
@@ -42,7 +50,7 @@ class HumanFromBlur:
         """Return the same method with the person's height fixed.
 
         Args:
-            height_m: of the person, soles to crown.
+            height_m: height of the person, soles to crown.
         """
         other = copy.copy(self)
         fit = self._config.fit.model_copy(update={"height_m": height_m})
@@ -50,7 +58,7 @@ class HumanFromBlur:
         return other
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses and appearance; the case is not looked at."""
+        """Predict poses and appearance; the case is not used."""
         if not self._frames_alone:
             result = self._fit(observation, starts)
             pictures = self._draw(result, observation)
@@ -65,14 +73,17 @@ class HumanFromBlur:
         return Prediction(_joined(results, observation), pictures[..., 3] >= 0.5, pictures, seconds)
 
     def _fit(self, observation: Observation, starts: Sequence[FirstBody]) -> FitResult:
+        config = self._config.fit
+        other = find_other_front(observation, starts, self._body) if config.both_fronts else None
         return fit(
             observation,
             starts,
             self._body,
-            self._config.fit,
+            config,
             self._config.seed,
             self._prior,
             motion_prior=self._motion_prior,
+            other_front=other,
         )
 
     def _draw(self, result: FitResult, observation: Observation) -> Float[Array, "R H W 4"]:
@@ -82,7 +93,7 @@ class HumanFromBlur:
 
 
 def _joined(results: Sequence[FitResult], observation: Observation) -> SampledMotion:
-    """Single frames' motions one after another on the clip's own clock; joints are those of each frame's shape."""
+    """Join single frames' motions on the clip's clock; joints are those of each frame's shape."""
     motions = [result.motion for result in results]
     times_s, frame_index = row_times_s(observation, len(motions[0].poses))
     radii = [motion.joint_radius_mm for motion in motions if motion.joint_radius_mm is not None]

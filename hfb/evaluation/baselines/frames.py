@@ -1,4 +1,4 @@
-"""Several frames, one by one."""
+"""Splitting of observations into single frames."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ def one_by_one(observation: Observation) -> list[Observation]:
     """Split an observation into one per frame, each without the others.
 
     Args:
-        observation: of any number of frames.
+        observation: frames with their mattes, any number.
     """
     return [
         replace(observation, frames_linear=frame[None], mattes=matte[None])

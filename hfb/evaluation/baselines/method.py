@@ -1,4 +1,4 @@
-"""What the judge compares: anything that turns an observation into a claim about the motion."""
+"""The interface of methods: an observation in, a predicted motion out."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -11,21 +11,21 @@ from hfb.rendering.observation import Observation
 
 @runtime_checkable
 class Method(Protocol):
-    """One method, ready to answer case after case; every answer is a function of its arguments alone."""
+    """A method that predicts case after case; every prediction is a function of its arguments alone."""
 
     name: str
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Answer one case.
+        """Predict the motion of one case.
 
         Args:
-            case: of its files only oracles, which say so in their names, read the truth; folders of other systems'
-                results are looked up by its number.
-            observation: with estimated mattes.
+            case: gives the number by which other systems' results are looked up; only oracles, which are named so, read
+                its truth.
+            observation: the frames with estimated mattes.
             starts: the static estimate of every frame, the same for all methods.
 
         Raises:
             InputError: this case cannot be answered (nobody found, a network that fails).
-            FloatingPointError: the optimisation or a network left the finite numbers.
+            FloatingPointError: the optimisation or a network gives values that are not finite.
         """
         ...

@@ -1,4 +1,4 @@
-"""What `--methods` may name, and everything about a method that can change its result. Light to import."""
+"""Specification of a method by its name in `--methods` and all that can change its result. Light to import."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ METHOD_NAMES: Mapping[str, str] = {
     "oracle-mediapipe": "MediaPipe on the TRUE sharp sub-frames",
     "oracle-matte": "the matte's pose search on the TRUE sharp sub-frames",
     "oracle-simulated": "the simulated estimator, as good as at the lowest blur, on the TRUE sharp sub-frames",
-    "oracle-middle": "real video: hfb's own start on the TRUE sharp frame in the middle of the exposure, held still",
-    "oracle-floor": "the body laid onto the true joints: what no pose can do better than",
+    "oracle-middle": "real video: hfb's start on the TRUE sharp frame in the middle of the exposure, held still",
+    "oracle-floor": "the body registered to the true joints: the lowest error that poses can reach",
     "NAME=FILE.toml": "Human from Blur with your own options, as for `hfb fit --config FILE.toml`",
 }
-"""What a method is made of: names and one line each, for the help."""
+"""Names of methods with one line each, for the help."""
 
 
 def _stage_of_all(fit: FitConfig) -> FitConfig:
@@ -90,27 +90,28 @@ MODIFIERS: Mapping[str, str] = {
     "METHOD@true-matte": "an oracle: the exact mattes in place of the estimated ones",
     "METHOD@true-height": "an oracle: a fit that is told how tall the person is (--fit.height-m)",
     "METHOD@true-start": "an oracle: the true body in the middle of each exposure as the start",
-    "METHOD@true-front": "an oracle: the start, mirrored in depth where that lies nearer to the truth",
+    "METHOD@true-front": "an oracle: the start, mirrored in depth where that is nearer to the truth",
 }
-"""What may be added to a method's name, several of them one after another."""
+"""Endings that may be added to a method's name, several of them one after another."""
 
 
 class FileDigest(Record):
-    """A file or folder that a method reads, by its content."""
+    """A file or folder that a method reads, with its digest."""
 
     path: Path
     sha256: str
 
 
 class MethodSpec(Record):
-    """One method, frozen: equal specs give equal results on equal cases.
+    """The specification of one method: equal specs give equal results on equal cases.
 
     Attributes:
         name: as the user wrote it, without ``=FILE``; the name in every table.
         config: options of a fit; of every other method only the number of sub-frames and the seed count.
         frames_alone: each frame is fitted as if there were no others.
-        oracles: what truth it is given.
-        estimator: of a two-stage oracle. chain: of a deblur-then-estimate method.
+        oracles: parts of the truth that it is given.
+        estimator: estimator of a two-stage oracle.
+        chain: chain of a deblur-then-estimate method.
         digests: networks, folders and priors it reads, by content: two specs are equal only if these are.
     """
 
@@ -132,7 +133,7 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     """Parse one entry of `--methods`.
 
     Args:
-        text: such as `best`, `best@true-matte` or `name=FILE`.
+        text: an entry such as `best`, `best@true-matte` or `name=FILE`.
         chains: a chains file, whose tables are methods too.
 
     Raises:
@@ -206,7 +207,7 @@ def _unknown(base: str, chains: Mapping[str, ChainSpec]) -> InputError:
 
 
 def _config_of(path: Path) -> RunConfig:
-    """The preset that a file names, with the file's own entries; only what a method may decide."""
+    """Return the preset that a file names with the file's entries, of which only a method's own are allowed."""
     content = read_toml(path)
     content = to_record(RunConfig, content, str(path)).model_dump(exclude_unset=True)
     foreign = sorted(set(content) - {"preset", "seed", "fit", "prior"})
@@ -223,7 +224,7 @@ def digest(path: Path) -> str:
     """Return the sha256 of a file, or of a folder's files with their names.
 
     Args:
-        path: of a file or a folder.
+        path: a file or a folder.
 
     Raises:
         InputError: nothing lies there, or it cannot be read.

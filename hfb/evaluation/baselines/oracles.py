@@ -1,4 +1,4 @@
-"""Methods that are told something of the truth; every one says so in its name."""
+"""Methods that use a part of the truth, which their names state."""
 
 import time
 from collections.abc import Sequence
@@ -39,7 +39,12 @@ _LEAST_BLUR = 0.05  # the lower end of the paper's first interval of blur rates
 
 
 class TrueMatte:
-    """Another method, shown the exact mattes in place of the estimated ones."""
+    """Another method with the exact mattes in place of the estimated ones.
+
+    Args:
+        name: name of the method.
+        method: method that gets the exact mattes.
+    """
 
     def __init__(self, name: str, method: Method) -> None:
         self.name = name
@@ -54,7 +59,13 @@ class TrueMatte:
 
 
 class TrueStart:
-    """Another method, started from the true body in the middle of every exposure."""
+    """Another method that starts from the true body in the middle of every exposure.
+
+    Args:
+        name: name of the method.
+        method: method that starts from the true body.
+        body: model of the start.
+    """
 
     def __init__(self, name: str, method: Method, body: Body) -> None:
         self.name = name
@@ -77,7 +88,7 @@ class TrueStart:
 
 
 class TrueFront:
-    """Another method, whose start is mirrored in depth where that lies nearer to the truth: front and back are told."""
+    """Another method, whose start is mirrored in depth where that is nearer to the truth."""
 
     def __init__(self, name: str, method: Method, body: Body) -> None:
         self.name = name
@@ -95,7 +106,7 @@ class TrueFront:
         return self._method(case, observation, chosen)
 
     def _distance(self, first: FirstBody, true: Float[Array, "24 3"]) -> float:
-        """Mean distance of the known joints, both centred."""
+        """Return the mean distance of the known joints after both sides are centred."""
         dtype = self._body.template.dtype
         shaped = self._body.shape(first.betas.to(dtype))
         turns = axis_angle_to_matrix(first.pose.to(dtype))[None]
@@ -106,7 +117,13 @@ class TrueFront:
 
 
 class TrueHeight:
-    """A fit that is told how tall the person is, as somebody may know who films."""
+    """A fit with the person's true height, which a user may know.
+
+    Args:
+        name: name of the method.
+        method: the fit.
+        body: model that is fitted.
+    """
 
     def __init__(self, name: str, method: HumanFromBlur, body: Body) -> None:
         self.name = name
@@ -126,7 +143,7 @@ class TrueHeight:
 
 
 class Floor:
-    """The body laid onto the true joints of every instant: what no pose of this body can do better than."""
+    """The body registered to the true joints: the lowest error that its poses can reach."""
 
     def __init__(self, name: str, subframes: int, body: Body) -> None:
         self.name = name
@@ -149,10 +166,9 @@ class Floor:
 
 
 class SharpMiddle:
-    """The start's own estimator on the TRUE sharp frame in the middle of each exposure, held still.
+    """The start's estimator on the TRUE sharp frame in the middle of each exposure, held still.
 
-    The best that deblurring can give to a method that first makes one sharp picture and then estimates a body in it.
-    Each frame is estimated alone.
+    It bounds methods that deblur one sharp image and then estimate a body. Each frame is estimated alone.
     """
 
     def __init__(self, name: str, initializer: Initializer, subframes: int, body: Body) -> None:
@@ -186,17 +202,25 @@ class SharpMiddle:
 
 
 class TwoStageOracle:
-    """An estimator on the TRUE sharp sub-frames with their exact mattes: what a perfect deblurring could give it."""
+    """An estimator on the TRUE sharp sub-frames with their exact mattes: the limit of perfect deblurring.
+
+    Args:
+        name: name of the method.
+        initializer: the estimator; None for the simulated one.
+        subframes: rows per frame of the prediction.
+        seed: seed of the simulated estimator.
+        body: model of the prediction.
+    """
 
     def __init__(self, name: str, initializer: Initializer | None, subframes: int, seed: int, body: Body) -> None:
         self.name = name
         self._subframes = subframes
         self._seed = seed
         self._body = body
-        self._initializer = initializer  # None: the simulated estimator, which needs no pictures
+        self._initializer = initializer  # None: the simulated estimator, which needs no images
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses alone, interpolated between the eight sub-frames of the truth."""
+        """Predict poses alone, interpolated between the eight sub-frames of the truth."""
         started = time.perf_counter()
         with one_torch_thread():
             estimates = (
@@ -225,9 +249,9 @@ class TwoStageOracle:
         return estimates
 
     def _simulated(self, case: Case, observation: Observation) -> list[list[Estimate | None]]:
-        """The simulated estimator on every sub-frame, each as if it were a frame of its own with next to no blur.
+        """Apply the simulated estimator to every sub-frame, as if it were a frame with hardly any blur.
 
-        All are drawn together: a network errs alike on neighbouring sub-frames.
+        All are drawn together, since a network's errors on neighbouring sub-frames are alike.
         """
         truth, frames = load_truth(case.truth), len(observation.mattes)
         u = np.linspace(0.0, 1.0, SHARP_SUBFRAMES) * observation.exposure_s

@@ -1,4 +1,4 @@
-"""From single estimates at some instants to the rows of a prediction."""
+"""Interpolation of single estimates to the rows of a prediction."""
 
 import numpy as np
 import torch
@@ -74,8 +74,8 @@ def poses_at(
     """Interpolate every joint's rotation (axis-angle) between neighbouring estimates by slerp; held beyond the ends.
 
     Args:
-        times_s: of the rows.
-        known_s: when the estimates hold, increasing.
+        times_s: times of the rows.
+        known_s: times of the estimates, increasing.
         poses: axis-angle of the estimates [rad].
     """
     before, after, share = _between(times_s, known_s)
@@ -98,9 +98,9 @@ def points_at(
     """Interpolate points linearly between neighbouring estimates; held beyond the ends.
 
     Args:
-        times_s: of the rows.
+        times_s: times of the rows.
         known_s: times of the estimates, increasing.
-        points: of the estimates, in any unit.
+        points: points of the estimates, in any unit.
     """
     before, after, share = _between(times_s, known_s)
     weight = share.to(points).view(-1, *(1,) * (points.ndim - 1))
@@ -110,7 +110,7 @@ def points_at(
 def _between(
     times_s: Float[Array, "R"], known_s: Float[Array, "M"]
 ) -> tuple[Int[Tensor, "R"], Int[Tensor, "R"], Float[Tensor, "R"]]:
-    """The estimates before and after each time and the share of the later one."""
+    """Return the estimates before and after each time and the share of the later one."""
     position = np.interp(times_s, known_s, np.arange(len(known_s), dtype=np.float64))
     before = np.minimum(position.astype(np.int64), max(len(known_s) - 2, 0))
     after = np.minimum(before + 1, len(known_s) - 1)

@@ -3,8 +3,8 @@
 SfB: Rozumnyi et al., Shape from Blur: Recovering Textured 3D Shape and Motion of Fast Moving Objects, NeurIPS 2021;
 MfB: Rozumnyi et al., Motion-from-Blur: 3D Shape and Motion Estimation of Motion-Blurred Objects in Videos, CVPR 2022.
 One object of unknown shape, a deforming textured sphere, moves rigidly along a polynomial; its sub-frames' average
-must look like the frame. Unlike theirs, translation and rotation run on one clock, and no network gives sub-frame
-silhouettes: the matte is all that is known of them.
+is compared with the frame. Unlike theirs, translation and rotation run on one clock, and no network gives sub-frame
+silhouettes: only the matte is used.
 """
 
 import math
@@ -40,11 +40,13 @@ _STAGES = ((64, 50), (128, 60), (256, 60))  # longer side of the region [px], it
 
 @dataclass(frozen=True)
 class _Free:
-    """What SfB optimises.
+    """The variables that SfB optimises.
 
     Attributes:
-        path: polynomial of the centre [m]. turn: of the quaternion, without its constant: the shape has no front.
-        offsets: per vertex, before the bound. axes_m: of the ellipsoid it starts as; fixed.
+        path: polynomial of the centre [m].
+        turn: polynomial of the quaternion without its constant: the shape has no front.
+        offsets: per vertex, before they are bounded.
+        axes_m: axes of the initial ellipsoid; fixed.
     """
 
     path: Float[Tensor, "D1 3"]
@@ -54,7 +56,7 @@ class _Free:
     axes_m: Float[Tensor, "3"]
 
     def vertices(self, sphere: Sphere, tau: Float[Tensor, "S"]) -> Float[Tensor, "S V 3"]:
-        """The object [m] in camera coordinates at some times."""
+        """Return the object [m] in camera coordinates at some times."""
         powers = tau[:, None] ** torch.arange(len(self.path))
         quaternion = powers[:, 1:] @ self.turn + tau.new_tensor([1.0, 0, 0, 0])
         R_camera_object = quaternion_to_matrix(normalize_quaternion(quaternion))
@@ -62,12 +64,19 @@ class _Free:
         return shape @ R_camera_object.transpose(1, 2) + (powers @ self.path)[:, None]
 
     def detached(self) -> "_Free":
-        """A copy that later steps leave alone."""
+        """Return a detached copy."""
         return _Free(*(getattr(self, name).detach().clone() for name in self.__dataclass_fields__))
 
 
 class ShapeFromBlur:
-    """SfB: every frame alone. MfB: one object and one motion through all frames, the gaps between them included."""
+    """SfB: every frame alone. MfB: one object and one motion through all frames, the gaps between them included.
+
+    Args:
+        name: name of the method.
+        together: fit one motion to all frames (MfB).
+        subframes: rows per frame.
+        stages: longer side of the region [px] and number of iterations of each stage.
+    """
 
     def __init__(self, name: str, together: bool, subframes: int, stages: Sequence[tuple[int, int]] = _STAGES) -> None:
         self.name = name
@@ -78,7 +87,7 @@ class ShapeFromBlur:
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Silhouettes and pictures of the object; no pose: it knows no body. Neither case nor starts are looked at."""
+        """Predict silhouettes and images of the object, without a pose; neither case nor starts are used."""
         started = time.perf_counter()
         with one_torch_thread():
             if self._together:
@@ -104,7 +113,7 @@ class ShapeFromBlur:
             return self._rasterizer.render(vertices, best.texture, observation.camera, self._sphere.mesh)
 
     def _optimise(self, start: _Free, window: Observation, size_px: int, iterations: int) -> tuple[float, _Free]:
-        """Adam at one picture size; the loss and the iterate that were best."""
+        """Run Adam at one image size; return the best loss and iterate."""
         seen = window.resized(size_px)
         tau = shutter_tau(seen, self._subframes)
         free = start.detached()
@@ -133,7 +142,7 @@ def _begin(start: SphereStart, sphere: Sphere, colour: Float[Tensor, "A A 3"]) -
 def _loss(
     free: _Free, sphere: Sphere, seen: Observation, tau: Float[Tensor, "T S"], rasterizer: Rasterizer
 ) -> Float[Tensor, ""]:
-    """SfB's terms: image formation and silhouette as means over the frames, Laplacian of the shape, total variation."""
+    """Return SfB's terms: image formation and silhouette as means over the frames, Laplacian, total variation."""
     losses = []
     for frame, matte, times in zip(seen.frames_linear, seen.mattes, tau, strict=True):
         mean = rasterizer.render_mean(free.vertices(sphere, times), free.texture, seen.camera, sphere.mesh)

@@ -1,4 +1,4 @@
-"""The prototype of SfB and MfB: a sphere of triangles with a texture atlas, free to deform."""
+"""The prototype shape of SfB and MfB: a deformable sphere of triangles with a texture atlas."""
 
 from dataclasses import dataclass
 
@@ -42,7 +42,7 @@ class Sphere:
         """Return each vertex's offset minus the mean of its neighbours'.
 
         Args:
-            offsets: of the vertices, in radii.
+            offsets: offsets of the vertices, in radii.
         """
         return offsets - torch.sparse.mm(self.smoothing, offsets)
 
@@ -63,7 +63,7 @@ def make_sphere(subdivisions: int = 3) -> Sphere:
 
 
 def _split(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> tuple[Float[Array, "W 3"], Int[Array, "G 3"]]:
-    """Each edge's middle, pushed out to the sphere, becomes a vertex; each face four."""
+    """Split each face into four; each edge's middle, projected to the sphere, becomes a vertex."""
     corners = np.sort(np.stack([faces, np.roll(faces, -1, 1)], -1), -1)  # F, its three edges, their two ends
     edges, number = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
     middles = vertices[edges].sum(1)

@@ -1,4 +1,4 @@
-"""Where SfB and MfB begin: an ellipsoid as large as the matte, some guesses of how it moves."""
+"""Initialisation of SfB and MfB: an ellipsoid as large as the matte, with several guesses of its motion."""
 
 from dataclasses import dataclass
 
@@ -8,14 +8,14 @@ from hfb.motion.clock import subframe_times_s
 from hfb.rendering.observation import Observation
 from hfb.typing import Float, Tensor
 
-# The picture of one unknown object does not tell its size from its distance: this is where it is put.
+# The image of an unknown object does not determine its distance: this one is assumed.
 DEPTH_M = 3.5
 _LEAST_SHARE = 0.25  # of the matte's variance along an axis that stays the object's own, however fast it moves
 
 
 @dataclass(frozen=True)
 class SphereStart:
-    """One guess.
+    """One start guess.
 
     Attributes:
         axes_m: half the extent of the ellipsoid along x, y and z.
@@ -42,11 +42,11 @@ def sphere_starts(observation: Observation, degree: int) -> list[SphereStart]:
     """Return start guesses from the mattes' moments; an empty matte has none and is left out.
 
     A single frame gives three: the object is as large as its matte and rests, or half of the matte's variance across
-    (or down) the picture is motion. Several frames tell the motion by where their mattes lie.
+    (or down) the image is motion. The positions of several frames' mattes determine the motion.
 
     Args:
         observation: the blurred frames with their mattes and clock.
-        degree: of the path's polynomial.
+        degree: degree of the path's polynomial.
     """
     moments = [_moments(matte) for matte in observation.mattes if matte.sum() > 0]
     centres, variances = (torch.stack(list(part)) for part in zip(*moments, strict=True))
@@ -83,7 +83,7 @@ def _span_s(observation: Observation) -> float:
 
 
 def _moments(matte: Float[Tensor, "H W"]) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:
-    """Centre (x, y) [px] and variance [px^2] of a matte."""
+    """Return centre (x, y) [px] and variance [px^2] of a matte."""
     height, width = matte.shape
     grid = torch.stack(torch.meshgrid(torch.arange(width) + 0.5, torch.arange(height) + 0.5, indexing="xy"), -1)
     share = matte[..., None] / matte.sum()

@@ -1,4 +1,4 @@
-"""The estimates that a fit starts from, as methods of their own."""
+"""The static start estimates as methods."""
 
 import time
 from collections.abc import Sequence
@@ -14,7 +14,14 @@ from hfb.rendering.observation import Observation
 
 
 class Static:
-    """Each frame's first body, held still through the exposure, or interpolated between the exposures' middles."""
+    """Each frame's first body, held still through the exposure, or interpolated between the exposures' middles.
+
+    Args:
+        name: name of the method.
+        interpolated: interpolate between the exposures' middles.
+        subframes: rows per frame of the prediction.
+        body: model of the first bodies.
+    """
 
     def __init__(self, name: str, interpolated: bool, subframes: int, body: Body) -> None:
         self.name = name
@@ -23,7 +30,7 @@ class Static:
         self._body = body
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses alone; the case is not looked at."""
+        """Predict poses alone; the case is not used."""
         started = time.perf_counter()
         poses = torch.stack([start.pose for start in starts])
         translations = torch.stack([start.translation for start in starts])

@@ -18,7 +18,7 @@ _KNOWN = ("poses", "joints", "vertices", "trans")
 
 
 def read_estimates(path: Path, frames: int, body: Body) -> list[list[Estimate | None]]:
-    """Read the estimates of every frame's sub-frames; rows of NaN are instants at which the system found nobody.
+    """Read the estimates of every frame's sub-frames; rows of NaN are instants without a detection.
 
     Args:
         path: the .npz.
@@ -65,7 +65,7 @@ def _estimate(kind: str, value: Array, place: Array | None, body: Body, path: Pa
 
 
 def _read(path: Path) -> dict[str, Float[Array, "..."]]:
-    """The known members; sizes are looked at first and no pickle is opened."""
+    """Read the known members; sizes are checked first and no pickle is opened."""
     try:
         arrays = read_arrays(path, _KNOWN, _LIMIT_BYTES)
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""The body where a case's truth has it: copied from a true motion, or laid onto the joints that real video knows."""
+"""Bodies at the true pose of a case: copied from a true motion, or registered to the known joints of real video."""
 
 from dataclasses import dataclass
 
@@ -20,13 +20,13 @@ _INSTANTS = 8  # of each exposure of a dense truth
 
 @dataclass(frozen=True)
 class TrueBodies:
-    """One person at M true instants.
+    """The body of one person at M true instants.
 
     Attributes:
         times_s: since the first shutter opened [s]. frame_index: the exposure of each instant.
-        joints: as the truth has them [m], NaN where unknown.
-        poses, translations: of the body model in use.
-        betas: None where the truth's are another model's.
+        joints: the truth's joints [m], NaN where unknown.
+        poses: axis-angle [rad]. translations: [m].
+        betas: None where the truth has those of another body model.
     """
 
     times_s: Float[Array, "M"]
@@ -37,15 +37,19 @@ class TrueBodies:
     betas: Float[Tensor, "10"] | None
 
     def nearest(self, times_s: Float[Array, "T"]) -> Int[Array, "T"]:
-        """The instants nearest to some times."""
+        """Return the index of the instant nearest to each time."""
         return np.abs(self.times_s[None] - times_s[:, None]).argmin(1)
 
 
 def true_bodies(case: Case, body: Body) -> TrueBodies:
-    """Bodies at the instants that the truth knows.
+    """Return the bodies at the truth's instants.
 
-    A true motion is taken as it is. Known joints get the body laid onto them, with one shape for all instants; what
-    they do not tell (head, hands, feet) is as people usually hold it.
+    A true motion is copied. To known joints the body is registered, with one shape for all instants; the anatomical
+    prior sets what they leave open (head, hands, feet).
+
+    Args:
+        case: the case.
+        body: the body model.
 
     Raises:
         InputError: there is no truth, or it knows too few joints for a body.
@@ -65,7 +69,11 @@ def true_bodies(case: Case, body: Body) -> TrueBodies:
 
 
 def bodies_on_joints(case: Case, body: Body) -> TrueBodies:
-    """As `true_bodies`, with the body laid onto the true joints also where the truth knows the motion.
+    """Return the bodies registered to the true joints, also where the truth has a motion.
+
+    Args:
+        case: the case.
+        body: the body model.
 
     Raises:
         InputError: there is no truth, or it knows too few joints for a body.
@@ -75,7 +83,7 @@ def bodies_on_joints(case: Case, body: Body) -> TrueBodies:
 
 
 def _some_joints(truth: Truth) -> JointTruth:
-    """All joints at a few instants of each exposure of a dense truth."""
+    """Return all joints at a few instants of each exposure of a dense truth."""
     motion = truth.motion
     rows = np.concatenate(
         [

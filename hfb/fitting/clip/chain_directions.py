@@ -41,7 +41,9 @@ class _Nodes:
     """Every frame of every window, in the order of the clip; a frame in two windows is two nodes.
 
     Attributes:
-        owner, place: the window and the frame's place in it. frame: its number in the clip.
+        owner: number of the window.
+        place: the frame's place in the window.
+        frame: its number in the clip.
         linked: whether a node and the next belong to one segment.
     """
 
@@ -58,9 +60,9 @@ def agree_on_directions(
     """Reverse limbs so that windows agree; returns the windows in the order of the clip, and what was reversed.
 
     Args:
-        fits: of one clip, all with one kind, degree and origin of polynomials.
+        fits: fits of one clip, all with one kind, degree and origin of polynomials.
         shaped: the clip's person.
-        gaps_u: from each frame's closing shutter to the next one's opening, in exposures.
+        gaps_u: time from each frame's closing to the next one's opening, in exposures.
     """
     ordered = sorted(fits, key=lambda found: found.frames)
     nodes = _nodes(ordered)
@@ -94,7 +96,7 @@ def _nodes(ordered: Sequence[WindowFit]) -> _Nodes:
 
 
 def _joints(trajectory: Trajectory, shaped: ShapedBody) -> Float[Array, "N S 24 3"]:
-    """At the instants of `_CLOCK` [m]."""
+    """Return joints at the instants of `_CLOCK` [m]."""
     with torch.no_grad():
         rotations, translations = trajectory.at(trajectory.rotation.new_tensor(_CLOCK))
         joints = shaped.joints_of(
@@ -106,7 +108,7 @@ def _joints(trajectory: Trajectory, shaped: ShapedBody) -> Float[Array, "N S 24 
 def _least_contradiction(
     joints: Float[Array, "2 N S j 3"], nodes: _Nodes, gaps_u: Float[Array, "T"]
 ) -> Bool[Array, "N"]:
-    """Nodes to reverse, by dynamic programming along the clip; ties stay as fitted."""
+    """Return the nodes to reverse, by dynamic programming along the clip; ties stay as fitted."""
     velocity = (joints[:, :, 2::4] - joints[:, :, 0::4]) / (2 * _STEP)  # at the opening and at the closing
     costs, came_from = np.array([0.0, _TURN_M]), []
     for node in range(1, len(nodes.frame)):

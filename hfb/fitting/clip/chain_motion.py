@@ -21,13 +21,14 @@ _SLOWEST_M = 0.05
 
 @dataclass(frozen=True)
 class Edge:
-    """Where one frame passes into the next.
+    """The transition from one frame to the next.
 
     Attributes:
         frame: the earlier one.
-        jump_mm, velocity_jump: of the joint that jumps most, as fitted: its place, and its velocity as a share of its
-            speed.
-        left_mm, left_velocity: the same in the joined motion.
+        jump_mm: largest jump of a joint's position, as fitted.
+        velocity_jump: largest jump of a joint's velocity, as fitted, as a share of its speed.
+        left_mm: `jump_mm` of the joined motion.
+        left_velocity: `velocity_jump` of the joined motion.
     """
 
     frame: int
@@ -39,13 +40,15 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class ChainMotion:
-    """Frames in the order of the clip, each with the motions that one or two windows claim for it.
+    """Frames in the order of the clip, each with its motion in one or two windows.
 
     Attributes:
         frames: their numbers in the clip.
-        early, late: the motion of the window that ends in a frame and of the one that begins (or goes on) in it.
-        gap_u: from a frame's closing to the next one's opening, in exposures.
-        rows: of the frames whose edge to the next one is closed; meeting: what was found there.
+        early: per frame the motion of the window that ends in it.
+        late: per frame the motion of the window that begins (or continues) in it.
+        gap_u: time from a frame's closing to the next one's opening, in exposures.
+        rows: rows of the frames whose edge to the next one is closed.
+        meeting: the gap at these edges, as fitted.
         owners: per frame the places of `early` and `late` in the windows: (window, frame of it) twice.
     """
 
@@ -63,7 +66,7 @@ class ChainMotion:
 
         Args:
             ordered: windows in the order of the clip.
-            gaps_u: after every frame of the clip, in exposures.
+            gaps_u: gap after every frame of the clip, in exposures.
         """
         claims: dict[int, list[tuple[int, int]]] = {}
         passed: set[int] = set()
@@ -99,7 +102,7 @@ class ChainMotion:
             here = rotation[rows]
             middle = self.meeting.middle[:, None].expand_as(here)
             moved = turned_by(middle, log_about(middle, here) + turn)
-            # Far from the edge nothing changes, and the logarithm about it need not be small.
+            # Far from the edge nothing changes, and the logarithm about it may be large.
             rotation = rotation.index_copy(0, rows, torch.where((away < _REACH)[..., None, None], moved, here))
             path = path.index_add(0, rows, shift)
         return rotation, path
@@ -110,7 +113,7 @@ class ChainMotion:
         """Return (frames, unit quaternions, translations [m]) through stretches without the person, `longest` at most.
 
         Args:
-            openings_u: of every frame of the clip's shutter, in exposures.
+            openings_u: opening times of every frame of the clip's shutter, in exposures.
             clock: times of the sub-frames [exposures].
             longest: most frames of a stretch that is bridged.
         """
@@ -171,13 +174,13 @@ class ChainMotion:
         return (1 - share) * early + share * late
 
     def _blended(self, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-        """Where two windows claim a frame: from the early one's motion to the late one's, flat at both ends."""
+        """Blend from the early window's motion to the late one's where both have a frame, flat at both ends."""
         (one, here), (other, there) = _evaluated(self.early, u), _evaluated(self.late, u)
         share = _rising(u)[..., None]
         return blend_rotations(one, other, share[..., None]), (1 - share) * here + share * there
 
     def _pure(self, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-        """As fitted: the early window up to mid-exposure, the late one from there on."""
+        """Return the motion as fitted: the early window up to mid-exposure, the late one from there on."""
         (one, here), (other, there) = _evaluated(self.early, u), _evaluated(self.late, u)
         late = (u > 0.5)[..., None]
         return torch.where(late[..., None], other, one), torch.where(late, there, here)
@@ -189,7 +192,7 @@ class ChainMotion:
         next_rows: Int[Array, "E"],
         opening: Float[Tensor, "E"],
     ) -> Meeting:
-        """The late motion of some frames against the early motion of others, at an instant on each one's clock."""
+        """Return the gap between the late motion of some frames and the early motion of others."""
         steps = torch.tensor([-STEP, 0.0, STEP], dtype=torch.float64)
         left, right = _rows(self.late, rows), _rows(self.early, next_rows)
         one = _evaluated(left, closing.double()[:, None] + steps)
@@ -198,13 +201,13 @@ class ChainMotion:
 
 
 def _rising(u: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
-    """3 u^2 - 2 u^3 within the exposure, constant outside."""
+    """Return 3 u^2 - 2 u^3 within the exposure, constant outside."""
     s = u.clamp(0, 1)
     return s * s * (3 - 2 * s)
 
 
 def _stacked(ordered: Sequence[WindowFit], places: Sequence[tuple[int, int]]) -> Trajectory:
-    """One frame's polynomials after another, in double precision."""
+    """Stack the frames' polynomials in double precision."""
 
     def parts(name: str) -> Tensor:
         return torch.stack([getattr(ordered[window].trajectory, name)[place].detach() for window, place in places])
@@ -225,7 +228,7 @@ def _rows(motion: Trajectory, rows: Int[Array, "E"]) -> Trajectory:
 
 
 def _evaluated(motion: Trajectory, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-    """Every frame at its own times; frames with the same times at once."""
+    """Evaluate every frame at its own times; frames with the same times at once."""
     clocks, which = torch.unique(u, dim=0, return_inverse=True)
     rotation = u.new_zeros(*u.shape, 24, 4)
     path = u.new_zeros(*u.shape, 3)

@@ -1,11 +1,10 @@
 """One motion out of overlapping windows: continuous in place and velocity through the whole clip.
 
-Inside the frame that two windows share their motions are blended with a weight that rises from 0 to 1 and is flat at
-both ends (3u^2 - 2u^3), so that at every edge between frames one window alone speaks. What its two frames leave of a
-jump there is taken out by a cubic Hermite correction on both sides, which fades within half an exposure. Over an
-exposure gap both frames are continued to the gap's middle and meet there; the longer the gap, the less of the
-correction reaches into the frames, and beyond one exposure nothing does: a cubic bridges a gap that long without
-touching them.
+Inside the frame that two windows share, their motions are blended with a weight that rises from 0 to 1 and is flat at
+both ends (3u^2 - 2u^3), so that at every edge between frames only one window counts. The remaining jump there is
+removed by a cubic Hermite correction on both sides, which fades within half an exposure. Over an exposure gap both
+frames are continued to the gap's middle and meet there; the longer the gap, the less of the correction reaches into the
+frames, and beyond one exposure none does: a cubic bridges a gap that long without changing them.
 
 Rotations are blended along geodesics and corrected in logarithms about the rotation half-way between both sides.
 """
@@ -35,10 +34,10 @@ class JoinedMotion:
     Attributes:
         motion: a row per sub-frame of every frame but the gaps'; ``frame_index`` counts the clip's frames, ``times_s``
             are true times since the clip's first shutter opened.
-        edges: what was found, and what is left, between neighbouring frames.
+        edges: gaps between neighbouring frames, as fitted and as left.
         turned: limbs that a window had seen run the other way.
         gaps: (first, last) frame of every stretch without the person.
-        filled: frames without any picture of the person that were bridged between their neighbours.
+        filled: frames without any image of the person that were bridged between their neighbours.
     """
 
     motion: SampledMotion
@@ -64,9 +63,9 @@ def join_windows(
         fits: windows of one clip, in any order.
         body: the body model.
         identity: the one that all windows were fitted with.
-        timing: of the whole clip.
+        timing: timing of the whole clip.
         subframes: N, rows per frame.
-        K: of the full picture [px].
+        K: camera matrix of the full image [px].
         longest_fill: stretches of at most so many frames without the person are bridged, longer ones are gaps.
 
     Raises:

@@ -43,7 +43,7 @@ def merge_identities(fits: Sequence[WindowFit], body: Body) -> Identity:
 
 
 def _find_visible(found: WindowFit, body: Body, side: int) -> Bool[Tensor, "A A"]:
-    """Texels that are visible at some instant of the window."""
+    """Return texels that are visible at some instant of the window."""
     with torch.no_grad():
         clock = subframe_clock(_INSTANTS, found.betas.dtype)
         rotations, translations = (one.flatten(0, 1) for one in found.trajectory.at(clock))
@@ -52,7 +52,7 @@ def _find_visible(found: WindowFit, body: Body, side: int) -> Bool[Tensor, "A A"
 
 
 def _camera_for(vertices: Float[Tensor, "S V 3"]) -> PinholeCamera:
-    """A camera at the real one's place that shows the whole person; occlusion depends on the place alone."""
+    """Return a camera at the real one's place that shows the whole person; occlusion depends on the place alone."""
     points = vertices.flatten(0, 1)
     screen = points[:, :2] / points[:, 2:].clamp_min(1e-3)
     low, high = screen.amin(0), screen.amax(0)

@@ -1,4 +1,4 @@
-"""A clip in windows: a few neighbouring frames each, fitted by themselves, overlapping by one frame.
+"""Windows of a clip: a few neighbouring frames each, fitted separately, overlapping by one frame.
 
 With the person known, no window needs another's result: they can be fitted in any order and at once, and the cost
 grows in proportion to the frames.
@@ -19,7 +19,7 @@ from hfb.fitting.fit import FitResult, Problem, fit_all
 from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
-from hfb.motion.static_pose import FirstBody
+from hfb.motion.static_pose import FirstBody, OtherFront
 from hfb.motion.trajectory import Trajectory
 from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
@@ -51,13 +51,17 @@ class ClipWindow:
 
 @dataclass(frozen=True)
 class WindowFit:
-    """What the fit of one window found, in metres and camera coordinates.
+    """Result of one window's fit, in metres and camera coordinates.
 
     Attributes:
-        frames, segment: see `ClipWindow`.
+        frames: see `ClipWindow`.
+        segment: see `ClipWindow`.
         texture: linear light; None where the person was known.
         joint_radius_mm: how far off each joint may be, see `SampledMotion`; None where the fit does not say.
-        loss: the kept iterate's weighted sum; history: one value per iteration of every term.
+        loss: the kept iterate's weighted sum.
+        history: one value per iteration of every term.
+        mirrored: the fit began from the first bodies' mirror images in depth.
+        front_log_odds: that the first bodies face the right way; 0 where both fronts were not fitted.
     """
 
     frames: tuple[int, ...]
@@ -69,6 +73,8 @@ class WindowFit:
     loss: float
     seconds: float
     history: dict[str, list[float]] = field(default_factory=dict)
+    mirrored: bool = False
+    front_log_odds: float = 0.0
 
 
 def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...]:
@@ -103,15 +109,15 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
     """Choose windows that determine the person: in the middle of equal parts of the clip, where most is seen.
 
     Args:
-        windows: of one clip.
-        matte_areas: of every frame of the clip [px]; how much is seen of the person grows with it.
-        count: how many are chosen at most.
+        windows: windows of one clip.
+        matte_areas: matte area of every frame of the clip [px], a measure of how much of the person is visible.
+        count: largest number of chosen windows.
     """
     whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
-    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours would tell the same
+    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours tell the same
     seen = np.array([float(np.mean([matte_areas[frame] for frame in window.frames])) for window in windows])
     several = np.array([len(window.frames) > 1 for window in windows])
-    # A window of one frame knows the least about depth: it is taken only where its part has no other.
+    # A window of one frame determines depth worst: it is used only where its part has no other.
     return tuple(int(part[np.lexsort((-seen[part], ~several[part]))[0]]) for part in parts)
 
 
@@ -126,6 +132,7 @@ def window_config(config: RunConfig) -> FitConfig:
         update={
             "stages": video.stages,
             "settle": min(video.settle, base.settle),
+            "both_fronts": False,
             "directions": base.directions.model_copy(update={"search": False}),
         }
     )
@@ -142,17 +149,20 @@ def person_config(config: RunConfig) -> FitConfig:
 
 @dataclass(frozen=True)
 class WindowScene:
-    """A window and what its fit sees.
+    """A window and the input of its fit.
 
     Attributes:
-        observation, first_bodies: of the window's frames alone.
+        observation: observation of the window's frames alone.
+        first_bodies: first bodies of the window's frames alone.
         identity: shape and texture to hold fixed; both are fitted where it is not given.
+        other_front: see `hfb.fitting.fit.Problem`.
     """
 
     window: ClipWindow
     observation: Observation
     first_bodies: Sequence[FirstBody]
     identity: Identity | None = None
+    other_front: OtherFront | None = None
 
 
 def fit_windows(
@@ -170,9 +180,9 @@ def fit_windows(
         scenes: windows with their observations, first bodies and, where known, identity.
         body: the body model.
         config: options of the fits.
-        seed: of everything random.
-        pose_prior: how unlikely each pose is.
-        motion_prior: how people move; the shipped one when not given.
+        seed: seed of everything random.
+        pose_prior: prior of the pose, L_P of eq. (6).
+        motion_prior: prior of the motion; the shipped one when not given.
     """
     batch_size = window_batch_size(config)
     found: dict[int, WindowFit] = {}
@@ -191,7 +201,7 @@ def fit_windows(
 
 
 def _kind(scene: WindowScene) -> tuple[int, bool, float, float]:
-    """Windows of one kind can be one problem."""
+    """Return a key of windows that can be fitted in one batch."""
     seen = scene.observation
     return len(scene.window.frames), scene.identity is not None, seen.exposure_s, seen.interval_s
 
@@ -200,7 +210,7 @@ def _problem(scene: WindowScene, body: Body) -> Problem:
     first_bodies, identity = scene.first_bodies, scene.identity
     if identity is not None:
         first_bodies = [rescale_first_body(first, identity.betas, body) for first in first_bodies]
-    return Problem(scene.observation, first_bodies, identity)
+    return Problem(scene.observation, first_bodies, identity, scene.other_front)
 
 
 def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> WindowFit:
@@ -215,6 +225,8 @@ def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> Wind
         loss=found.loss,
         seconds=found.seconds,
         history=found.history,
+        mirrored=found.front is not None and found.front.mirrored,
+        front_log_odds=0.0 if found.front is None else found.front.log_odds,
     )
 
 
@@ -222,7 +234,7 @@ def save_window(path: Path, found: WindowFit) -> None:
     """Write a window's result (.npz, no pickle) whole or not at all; without the seconds, so that bytes repeat.
 
     Args:
-        path: where it is written.
+        path: file to write.
         found: the window's result.
     """
     motion = found.trajectory
@@ -237,6 +249,8 @@ def save_window(path: Path, found: WindowFit) -> None:
         "origin": np.array(motion.origin),
         "loss": np.array(found.loss),
         "history": np.array(json.dumps(found.history)),
+        "mirrored": np.array(found.mirrored),
+        "front_log_odds": np.array(found.front_log_odds),
     }
     if found.texture is not None:
         arrays["texture"] = found.texture.detach().numpy()
@@ -274,6 +288,8 @@ def load_window(path: Path) -> WindowFit:
             loss=float(content["loss"]),
             seconds=0.0,
             history=json.loads(str(content["history"])),
+            mirrored=bool(content["mirrored"]),
+            front_log_odds=float(content["front_log_odds"]),
         )
     except FileNotFoundError:
         raise InputError(f"there is no window's result at {path}") from None

@@ -1,4 +1,4 @@
-"""Files that belong to a result and lie beside it. Light to import."""
+"""Companion files of a result. Light to import."""
 
 from pathlib import Path
 

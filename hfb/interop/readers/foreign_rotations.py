@@ -1,4 +1,4 @@
-"""Rotations as other systems store them, as axis-angle."""
+"""Conversion of other systems' rotations to axis-angle."""
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ def from_matrices(matrices: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
     Single ones that are no rotations, or not finite, become NaN.
 
     Args:
-        matrices: of another system.
+        matrices: matrices of another system.
 
     Raises:
         InputError: none of them is a rotation.

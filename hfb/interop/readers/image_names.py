@@ -1,4 +1,4 @@
-"""Which frames of a clip the pictures of a result are: by the clip's own file names where they have some."""
+"""Matching of a result's images to a clip's frames by file names."""
 
 import logging
 import re
@@ -17,10 +17,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ClipPictures:
-    """The pictures that a result is matched with.
+    """The images that a result is matched with.
 
     Attributes:
-        names: of the clip's files, in the order of its frames; empty for a video. frames: of a video, 0 where unknown.
+        names: names of the clip's files, in the order of its frames; empty for a video.
+        frames: frames of a video, 0 where unknown.
     """
 
     names: tuple[str, ...] = ()
@@ -31,7 +32,7 @@ def stem(name: str) -> str:
     """Return an image's name without folders, endings and what systems add to it.
 
     Args:
-        name: of an image, with or without folders.
+        name: name of an image, with or without folders.
     """
     plain = re.split(r"[/\\]", name)[-1]
     return _ADDED.sub("", _SUFFIX.sub("", plain)).lower()
@@ -41,7 +42,7 @@ def number_in(name: str) -> int | None:
     """Return the last number in an image's name.
 
     Args:
-        name: of an image, with or without folders.
+        name: name of an image, with or without folders.
     """
     found = _NUMBER.findall(stem(name))
     return int(found[-1]) if found else None
@@ -50,10 +51,10 @@ def number_in(name: str) -> int | None:
 def by_pictures(tracks: Sequence[PoseTrack], clip: ClipPictures) -> list[PoseTrack]:
     """Return the tracks with the clip's own frame numbers where they know the names of their images.
 
-    Rows of pictures that the clip does not have are left out. Where no name fits all stay as they are.
+    Rows of images that the clip does not have are dropped. Where no name matches, all stay as they are.
 
     Args:
-        tracks: of one result.
+        tracks: tracks of one result.
         clip: names of its frames' files.
     """
     images = {name for track in tracks for name in track.images or ()}
@@ -72,7 +73,7 @@ def _numbered(track: PoseTrack, frames: dict[str, int]) -> PoseTrack:
 
 
 def _frames_of(images: set[str], clip: ClipPictures) -> dict[str, int]:
-    """The clip's frame of each picture; empty where the numbers in the names are to be believed."""
+    """Return the clip's frame of each image; empty where the numbers in the names are used."""
     own = {stem(name): frame for frame, name in enumerate(clip.names)}
     if len(own) == len(clip.names):
         same = {name: own[stem(name)] for name in images if stem(name) in own}

@@ -1,4 +1,4 @@
-"""One person who comes as several tracks: trackers lose people and give them a new number."""
+"""Joining of several tracks of one person, since trackers lose people and give them a new number."""
 
 import logging
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ JOINT = "+"
 """Between the names of joined tracks."""
 _LONGEST_GAP = 30
 _NEAR, _PER_FRAME, _FARTHEST = 0.4, 0.05, 1.0
-"""How far apart the end of a track and the beginning of the next may lie, in heights of the person: from one frame to
-the next, more for every further one, at most."""
+"""Largest distance of the end of a track from the beginning of the next, in heights of the person: from one frame to
+the next, per further frame, and in all."""
 _HEIGHT_M = 1.7
 _log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ def joined(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
 
 
 def _way(one: PoseTrack, other: PoseTrack) -> float | None:
-    """How far apart two tracks are where they meet, in heights; None where they are no one's."""
+    """Return the distance of two tracks where they meet, in heights; None where they cannot be one person's."""
     same = all((getattr(one, name) is None) == (getattr(other, name) is None) for name in OPTIONAL)
     if one.rate_hz is not None or not same or (one.size, one.betas_space) != (other.size, other.betas_space):
         return None
@@ -70,7 +70,7 @@ def _way(one: PoseTrack, other: PoseTrack) -> float | None:
 
 
 def _places(track: PoseTrack) -> Float[Array, "R 3"] | None:
-    """Where the person is in the pictures, and how tall [px]; None where the system does not tell."""
+    """Return the person's position and height in the images [px]; None where the system does not state them."""
     if track.pixels is not None:
         spread = np.nanmax(track.pixels, 1) - np.nanmin(track.pixels, 1)
         return np.column_stack([np.nanmedian(track.pixels, 1), np.maximum(spread.max(1), 1.0)])

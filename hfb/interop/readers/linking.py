@@ -1,4 +1,4 @@
-"""People without names: a person is who lies nearest to where they lay in the frames before."""
+"""Linking of people without names by their distance between neighbouring frames."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -11,14 +11,14 @@ from hfb.errors import InputError
 from hfb.typing import Array, Float
 
 _MOST_STEPS = 3
-"""Over how many frames the way grows that somebody may have gone."""
+"""Number of frames over which a person's possible distance grows."""
 _REMEMBERED, _MOST_IN_FRAME = 5, 128
-"""After so many given frames without them people are new; more in a frame are not told apart."""
+"""Number of frames after which a person counts as new; and the largest number of people in a frame."""
 
 
 @runtime_checkable
 class Seen(Protocol):
-    """Somebody in a frame."""
+    """A person in a frame."""
 
     @property
     def number(self) -> int:
@@ -34,10 +34,10 @@ def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Flo
 
     Args:
         seen: a row per person and frame.
-        ways: between the people of two frames, 1 being as far as somebody goes from one frame to the next.
+        ways: returns distances between the people of two frames, 1 being a person's largest step between frames.
 
     Raises:
-        InputError: a frame has more people than can be told apart.
+        InputError: a frame has too many people.
     """
     frames: dict[int, list[SeenT]] = defaultdict(list)
     for one in seen:
@@ -62,7 +62,7 @@ def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Flo
 def _followed(
     before: list[SeenT], now: list[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]
 ) -> dict[int, int]:
-    """Whom of `before` those of `now` continue, by their places in the lists."""
+    """Match the people of `now` with those of `before`, by their places in the lists."""
     if not before:
         return {}
     steps = np.array([min(now[0].number - one.number, _MOST_STEPS) for one in before], np.float64)

@@ -1,4 +1,4 @@
-"""Parts of a result by their names: looked at before they are copied, counted before they are read.
+"""Access to parts of a result by name, with limits on their number before they are read.
 
 A pickle of a few bytes can hold the same large part a thousand times.
 """
@@ -12,7 +12,7 @@ from hfb.io.safe.contents import named, numbers, text_of
 from hfb.typing import Array, Float
 
 MAX_PEOPLE = 1 << 17
-"""Of systems that store every person of every frame by itself: more than an hour of one."""
+"""Limit for systems that store every person of every frame separately: more than an hour of one person."""
 _MAX_ROWS, _MAX_ENTRIES = 1 << 20, 1 << 22
 
 
@@ -20,7 +20,7 @@ def has_keys(value: Any, needed: Collection[str]) -> bool:
     """Return whether a value is a dictionary with these names, as texts or as old pickles' bytes.
 
     Args:
-        value: of an unpickled result.
+        value: a value of an unpickled result.
         needed: names.
     """
     return isinstance(value, dict) and all(name in value or name.encode() in value for name in needed)
@@ -30,7 +30,7 @@ def named_all(parts: Iterable[Any], needed: Collection[str]) -> list[dict[str, A
     """Convert dictionaries to text keys; None where a part is no dictionary, or lacks a needed name.
 
     Args:
-        parts: of an unpickled result.
+        parts: parts of an unpickled result.
         needed: names.
 
     Raises:
@@ -49,7 +49,7 @@ def numbers_at(one: dict[str, Any], name: str, *shape: int | None, finite: bool 
 
     Args:
         one: dictionary of a result.
-        name: of the entry.
+        name: name of the entry.
         *shape: as in `numbers`; None for any length.
         finite: refuse values that are not finite.
 
@@ -70,7 +70,7 @@ def read_people(
     """Read the persons of {person: {name: array}}; None where it is something else.
 
     Args:
-        content: of the unpickled file.
+        content: content of the unpickled file.
         needed: names that every person has.
         read_one: converts a person's name and entries.
 

@@ -1,4 +1,4 @@
-"""What another system found, in hfb's conventions: the one form between their files and our first bodies."""
+"""Another system's result in hfb's conventions, the common form of all readers."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from hfb.typing import Array, Bool, Float, Int
 
 BetasSpace = Literal["smpl", "smplx", "hfb"]
 OPTIONAL = ("poses", "trans", "betas", "pelvis", "joints", "pixels", "K")
-_SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been laid onto them by then
+_SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been fitted to them by then
 _NEAR = 0.02
 _LEAST_JOINTS = 6
-"""So many a body needs to be laid onto them (`hfb.initialization.point_registration`)."""
+"""Number of joints that fitting a body needs (`hfb.initialization.point_registration`)."""
 _log = logging.getLogger(__name__)
 
 
@@ -26,19 +26,21 @@ class PoseTrack:
     """One person over the frames in which a system saw them.
 
     Attributes:
-        system: whose result it is. person: the system's name or number for the person.
+        system: name of the system.
+        person: the system's name or number for the person.
         frames: numbers of the video's frames, increasing, the first being 0.
-        size: (height, width) of the pictures that K is about; None where the system does not say.
+        size: (height, width) of the images that K is about; None where the system does not say.
         poses: axis-angle of the 24 joints [rad]; the root's takes the rest body into the camera's axes (x right, y
             down, z forward), where K is None into those of an upright camera whose direction is not known.
-        trans: SMPL's translation [m]. betas: shape coefficients, `betas_space` says whose.
-        pelvis: where the root joint is [m], for systems that know it better than `trans`.
+        trans: SMPL's translation [m].
+        betas: shape coefficients, `betas_space` says whose.
+        pelvis: position of the root joint [m], for systems that know it better than `trans`.
         joints: SMPL's joints [m], NaN where unknown; of systems without poses.
-        pixels: where the picture shows SMPL's joints [px], NaN where unknown; of systems that know no depth.
+        pixels: SMPL's joints in the image [px], NaN where unknown; for systems that know no depth.
         turn_is_known: False where the root's turn about the vertical means nothing to the camera.
         K: the system's own pinhole camera per frame [px]: what it meant is where this camera shows the body.
-        images: names of the pictures, of systems that go by names; see `picture_names`.
-        rate_hz: of a motion with a clock of its own; its frames are then its own too, not the video's.
+        images: names of the images, of systems that go by names; see `image_names.by_pictures`.
+        rate_hz: frame rate of a motion with its own clock; its frame numbers are then its own, too, not the video's.
     """
 
     system: str
@@ -75,11 +77,11 @@ class PoseTrack:
         """Scale the camera to images of another resolution.
 
         Args:
-            height: of the images [px].
-            width: of the images [px].
+            height: height of the images [px].
+            width: width of the images [px].
 
         Raises:
-            InputError: pictures of another shape: they are not the same ones.
+            InputError: images of another shape: they are not the same ones.
         """
         if self.size is None or self.size == (height, width) or self.K is None:
             return self
@@ -136,7 +138,7 @@ def size_seen(K: Float[Array, "R 3 3"], size: tuple[int, int]) -> tuple[int, int
 
     Args:
         K: its cameras, NaN where unknown.
-        size: of the frames, which is meant where the other is nearly the same.
+        size: size of the frames, which is meant where the other is nearly the same.
     """
     centres = K[:, [1, 0], 2]
     centres = centres[np.isfinite(centres).all(1)]
@@ -164,8 +166,8 @@ def save_track(path: Path, track: PoseTrack) -> None:
     """Write the canonical .npz, whole or not at all; no pickle.
 
     Args:
-        path: of the .npz.
-        track: to write.
+        path: the .npz file.
+        track: track to write.
     """
     arrays = {name: getattr(track, name) for name in _SAVED if getattr(track, name) is not None}
     facts = {name: np.array(getattr(track, name)) for name in ("system", "person", "betas_space", "turn_is_known")}
@@ -177,7 +179,7 @@ def load_track(path: Path) -> PoseTrack:
     """Read a canonical .npz.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: damaged, or something else.

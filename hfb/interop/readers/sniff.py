@@ -1,4 +1,4 @@
-"""Whose result a file is, told by what is in it, and the person it is to be about."""
+"""Recognition of a result file's system by its content, and choice of a person."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -49,12 +49,12 @@ def read_tracks(
 
     Args:
         files: the result, then what lies beside it (`hfb.interop.readers.beside.companions`).
-        height: of the pictures [px], for systems that do not say.
-        width: of the pictures [px], for systems that do not say.
-        clip: the names of the pictures, for systems that go by names.
+        height: height of the images [px], for systems that do not state it.
+        width: width of the images [px], for systems that do not state it.
+        clip: the names of the images, for systems that go by names.
 
     Raises:
-        InputError: damaged, a pickle that names code, unknown, or about other pictures.
+        InputError: damaged, a pickle that names code, unknown, or about other images.
     """
     path, *others = files
     content = read_contents(path)
@@ -79,7 +79,7 @@ def read_tracks(
 
 
 def _usable(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
-    """Everybody with rows of which a body can be made."""
+    """Return all people with rows from which a body can be made."""
     if not any(len(track) for track in tracks):
         raise InputError("it holds nobody")
     usable = [track for track in map(tidy, tracks) if len(track)]
@@ -89,7 +89,7 @@ def _usable(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
 
 
 def _holds_nothing(content: Any) -> bool:
-    """Lists and dictionaries with nothing in them, as systems write where they saw nobody."""
+    """Return whether a value is an empty list or dictionary, as systems write without a detection."""
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else (content,)
     return all(isinstance(part, dict | list) and not part for part in parts)
 
@@ -100,12 +100,12 @@ def choose_person(
     """Return the named person, else the one with the largest `shown`, else the one seen in most frames.
 
     Args:
-        tracks: of one result.
+        tracks: tracks of one result.
         person: name, or None.
-        shown: how much of a person the pictures show.
+        shown: measure of how much of a person the images show.
 
     Raises:
-        InputError: nobody, or nobody of that name.
+        InputError: there is no person, or none of that name.
     """
     if not tracks:
         raise InputError("the result holds nobody")

@@ -1,4 +1,4 @@
-"""In what unit a person's joints are: told by the lengths of the bones."""
+"""The unit of a person's joints, by the lengths of the bones."""
 
 import logging
 

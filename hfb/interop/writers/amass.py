@@ -1,4 +1,4 @@
-"""amass.npz: what AMASS's tools and Blender's SMPL add-on open (SMPL-H's 156 columns, z up, an even rate)."""
+"""amass.npz for AMASS's tools and Blender's SMPL add-on (SMPL-H's 156 columns, z up, an even rate)."""
 
 from pathlib import Path
 
@@ -22,16 +22,16 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
     """Return the members of the file.
 
     AMASS's own are ``poses`` (F, 156): root, 21 body joints, fingers at rest; ``trans``, ``betas``, ``dmpls``,
-    ``gender``, ``mocap_framerate``. Betas that are not SMPL's would be read as if they were: ``betas`` is then zero,
-    and they are in ``hfb_betas``. Beside them, under names that no AMASS tool knows: ``hfb_joints`` (F, 24, 3) m in the
+    ``gender``, ``mocap_framerate``. Readers would take other betas for SMPL's, so ``betas`` is zero then, and they are
+    in ``hfb_betas``. Additional members, under names that no AMASS tool uses, are ``hfb_joints`` (F, 24, 3) m in the
     same world, ``hfb_times_s``, ``hfb_observed`` (the shutter was open), ``hfb_present`` (the person was there),
     ``betas_space``.
 
-    The camera is taken to be level: up in the picture is up in the world.
+    The camera is assumed to be level: up in the image is up in the world.
 
     Args:
         motion: camera coordinates.
-        betas_space: whose betas these are, ``smpl`` or ``hfb``.
+        betas_space: space of the betas, ``smpl`` or ``hfb``.
         rate: frames per second of the file.
 
     Raises:
@@ -66,9 +66,9 @@ def write_amass(path: Path, motion: SampledMotion, betas_space: BetasSpace, rate
     """Write the file whole or not at all; see `amass_arrays`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
-        betas_space: whose betas these are, ``smpl`` or ``hfb``.
+        betas_space: space of the betas, ``smpl`` or ``hfb``.
         rate: frames per second of the file.
     """
     write_arrays(path, amass_arrays(motion, betas_space, rate))

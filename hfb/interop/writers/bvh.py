@@ -1,8 +1,8 @@
 """motion.bvh: a skeleton and its angles, as text; metres, y up.
 
 Offsets are the person's own bones in the rest pose (T, facing +z). The root's offset is zero and its position channels
-are its place, so that programs that add the two and those that do not agree. Rows follow at the rate of the sub-frames:
-a program that shows one row per picture shows slow motion.
+are its position, so that programs that add the two and those that do not agree. Rows have the rate of the sub-frames:
+a program that shows one row per video frame shows slow motion.
 """
 
 import warnings
@@ -47,14 +47,14 @@ def write_bvh(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `bvh_text`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, bvh_text(motion).encode())
 
 
 def _angles(quaternions: Float[Array, "F 24 4"]) -> Float[Array, "F 24 3"]:
-    """Degrees about z, x, y, without jumps of a full turn from row to row."""
+    """Return degrees about z, x, y, without jumps of a full turn from row to row."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # at x = 90 degrees one of many equal answers is taken
         turns = Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True).as_euler(_ORDER)
@@ -66,12 +66,12 @@ def _children(joint: int) -> list[int]:
 
 
 def _depth_first(joint: int) -> list[int]:
-    """Joints in the order in which the file opens them, which is that of its columns."""
+    """Return joints in the order of the file's hierarchy and columns."""
     return [joint, *(one for child in _children(joint) for one in _depth_first(child))]
 
 
 def _joint(joint: int, rest: Float[Array, "24 3"], depth: int) -> list[str]:
-    """A joint's lines, and its children's."""
+    """Return the lines of a joint and its children."""
     margin, parent = "  " * depth, PARENTS[joint]
     offset = rest[joint] - rest[parent] if parent >= 0 else np.zeros(3)
     turns = " ".join(f"{axis}rotation" for axis in _ORDER)

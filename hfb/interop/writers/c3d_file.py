@@ -1,4 +1,4 @@
-"""joints.c3d: the table of joints as biomechanics programs keep it; needs the extra ``hfb[c3d]``."""
+"""joints.c3d, a table of joints for biomechanics programs; needs the extra ``hfb[c3d]``."""
 
 import io
 import warnings
@@ -53,7 +53,7 @@ def c3d_bytes(motion: SampledMotion) -> bytes:
 def _zero_lost_points(data: bytes, known: Bool[Array, "F 24"]) -> bytes:
     """Set the coordinates of lost points to zero, as the format asks for.
 
-    The writer of c3d 0.6 leaves the last valid coordinates there, which readers that skip the residual take for real.
+    The writer of c3d 0.6 keeps the last valid coordinates there, which readers without the residual would use.
     """
     content = bytearray(data)
     first_block = int.from_bytes(content[16:18], "little")  # word 9 of the header: where the frames begin, from 1
@@ -66,7 +66,7 @@ def write_c3d(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `c3d_bytes`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, c3d_bytes(motion))

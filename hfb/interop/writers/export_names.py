@@ -1,4 +1,4 @@
-"""What exported files are called, and which libraries they need. Light to import."""
+"""Names of exported files, and the libraries that they need. Light to import."""
 
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -14,14 +14,14 @@ FILE_NAMES: dict[MotionFormat, str] = {
     "trc": "joints.trc",
     "c3d": "joints.c3d",
 }
-"""What each format's file is called in a run's folder."""
+"""Name of each format's file in a run's folder."""
 
 FILM_NAMES: dict[Film, str] = {
     "slowmotion": "slowmotion.mp4",
     "exact": "exact_time.mp4",
     "overlay": "overlay.mp4",
 }
-"""What each film is called there."""
+"""Name of each film's file there."""
 
 EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())
 
@@ -29,7 +29,7 @@ RESULT = "result.json"
 """The facts of a finished result; it is there last."""
 
 RECORD = "record.json"
-"""What MLflow is to keep of a result, where it could not be reached: `hfb record` reads it."""
+"""The part of a result for MLflow, where it could not be reached: `hfb record` reads it."""
 
 REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 """The page about a result, what its curves show, and its film among the intermediate files."""
@@ -42,7 +42,7 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
     """Check that libraries for the formats are installed.
 
     Args:
-        formats: to be written.
+        formats: formats that will be written.
 
     Raises:
         InputError: one is missing.

@@ -17,7 +17,7 @@ _COMPONENTS = {
 }
 _TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-"""What a buffer view of vertices, or of indices, is for."""
+"""Targets of buffer views of vertices and of indices."""
 
 
 class GlbBuffer:

@@ -14,8 +14,8 @@ from hfb.typing import Array, Float
 def csv_text(motion: SampledMotion) -> str:
     """Return a table with one row per sub-frame, as in motion.npz: camera coordinates, exact times.
 
-    Columns: ``frame``, ``sub_frame``, ``time_s``, per joint ``NAME_x_m``, ``NAME_y_m``, ``NAME_z_m``, and where the
-    motion says how sure it is ``NAME_radius_mm``: the error is below it with a probability of one half; empty where
+    Columns: ``frame``, ``sub_frame``, ``time_s``, per joint ``NAME_x_m``, ``NAME_y_m``, ``NAME_z_m``, and
+    ``NAME_radius_mm`` where the motion has radii: the error is below it with a probability of one half; empty where
     unknown.
 
     Args:
@@ -61,7 +61,7 @@ def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
 
     Args:
         motion: camera coordinates.
-        name: that the first line states.
+        name: file name that the first line states.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -90,7 +90,7 @@ def write_csv(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `csv_text`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, csv_text(motion).encode())
@@ -100,7 +100,7 @@ def write_trc(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `trc_text`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, trc_text(motion).encode())

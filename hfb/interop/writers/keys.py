@@ -1,9 +1,9 @@
-"""A motion as animation formats take it: instants that increase, rotations whose signs do not jump, even steps.
+"""A motion for animation formats: increasing instants, rotations without sign jumps, an even rate.
 
-A motion of hfb has the instants of exposures: dense while the shutter is open, none while it is closed, and where one
-exposure begins as the last one ends the same instant twice. Here each exposure is a cubic spline through its
-sub-frames; over a closed shutter a cubic continues both sides with their velocities; over frames in which the person is
-missing the body is carried from one side to the other, starting and ending at rest, and is marked as absent.
+A motion of hfb has the instants of exposures: dense while the shutter is open, none while it is closed, and the same
+instant twice where one exposure begins as the last one ends. Here each exposure is a cubic spline through its
+sub-frames; over a closed shutter a cubic continues both sides with their velocities; over frames without the person
+the body moves from one side to the other, starting and ending at rest, and is marked as absent.
 """
 
 from collections.abc import Iterator
@@ -33,9 +33,12 @@ class MotionKeys:
 
     Attributes:
         times_s: since the first shutter opened.
-        quaternions: of each joint in its parent's frame (w, x, y, z), each in the hemisphere of the one before.
-        places: where the joints are [m]; translations: SMPL's [m].
-        observed: the shutter was open. present: the person was there, at least in frames on both sides.
+        quaternions: quaternions of each joint in its parent's frame (w, x, y, z), each in the hemisphere of the one
+            before.
+        places: positions of the joints [m].
+        translations: SMPL's translation [m].
+        observed: the shutter was open.
+        present: the person was there, at least in frames on both sides.
     """
 
     times_s: Float[Array, "F"]
@@ -48,7 +51,7 @@ class MotionKeys:
 
 @dataclass(frozen=True)
 class _Knots:
-    """Distinct instants with everything that is interpolated, and the exposure that each belongs to."""
+    """Distinct instants with all interpolated values, and the exposure of each."""
 
     times_s: Float[Array, "M"]
     values: Float[Array, "M c"]
@@ -97,7 +100,7 @@ def keys_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> MotionKeys:
 
     Args:
         motion: camera coordinates.
-        times_s: from the motion's first to its last instant, in order.
+        times_s: instants from the motion's first to its last, in order.
 
     Raises:
         InputError: the motion's own instants are not in order.
@@ -110,7 +113,7 @@ def present_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> Bool[Array,
 
     Args:
         motion: camera coordinates.
-        times_s: from the motion's first to its last instant, in order.
+        times_s: instants from the motion's first to its last, in order.
 
     Raises:
         InputError: the motion's own instants are not in order.
@@ -163,7 +166,7 @@ def turned(quaternions: Float[Array, "F 24 4"], by: Float[Array, "4"]) -> Float[
     """Return the poses in another world: the root's rotation followed by a rotation from the camera's frame to it.
 
     Args:
-        quaternions: of each joint (w, x, y, z).
+        quaternions: quaternions of each joint (w, x, y, z).
         by: rotation from the camera's frame to the other world (w, x, y, z).
     """
     w, x, y, z = by
@@ -200,7 +203,7 @@ def _knots(motion: SampledMotion) -> _Knots:
 
 
 def _means(values: Float[Array, "R c"], new: Bool[Array, "R"]) -> Float[Array, "M c"]:
-    """Of every run of rows that begins where it is new."""
+    """Return the mean of every run of rows that starts at a new instant."""
     starts = np.flatnonzero(new)
     if len(starts) == len(values):
         return values
@@ -210,13 +213,13 @@ def _means(values: Float[Array, "R c"], new: Bool[Array, "R"]) -> Float[Array, "
 
 
 def _runs(frames: Int[Array, "R"]) -> list[slice]:
-    """The rows of one frame after another."""
+    """Return the rows of one frame after another."""
     edges = [0, *(np.flatnonzero(np.diff(frames)) + 1).tolist(), len(frames)]
     return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
 def _slopes(times: Float[Array, "n"], values: Float[Array, "n c"]) -> Float[Array, "n c"]:
-    """Velocities of the cubic spline through one exposure's sub-frames."""
+    """Return velocities of the cubic spline through one exposure's sub-frames."""
     if len(times) < 2 or np.any(np.diff(times) <= 0):
         return np.zeros_like(values)
     return CubicSpline(times, values, axis=0)(times, 1)
@@ -250,14 +253,14 @@ def _keys(knots: _Knots, times_s: Float[Array, "F"]) -> MotionKeys:
 
 
 def _between(knots: _Knots, times_s: Float[Array, "n"]) -> Float[Array, "n c"]:
-    """The cubics through the knots around some instants, which increase."""
+    """Evaluate the cubics through the knots at increasing instants."""
     first, last = np.searchsorted(knots.times_s, times_s[[0, -1]], side="right")
     near = slice(int(np.clip(first - 1, 0, len(knots.times_s) - 2)), int(max(last, first)) + 1)
     return CubicHermiteSpline(knots.times_s[near], knots.values[near], knots.slopes[near], axis=0)(times_s)
 
 
 def _absences(knots: _Knots, times_s: Float[Array, "F"]) -> Iterator[tuple[int, slice]]:
-    """(the exposure before it, the instants in it) of every stretch in which the person is missing."""
+    """Yield (the exposure before it, the instants in it) of every stretch in which the person is missing."""
     opens, closes = knots.times_s[knots.opening], knots.times_s[knots.closing]
     tolerance = 1e-9 * max(1.0, float(knots.times_s[-1]))
     interval = float(np.median(np.diff(opens) / np.diff(knots.frames))) if len(opens) > 1 else np.inf

@@ -32,7 +32,7 @@ def mesh_name(motion: SampledMotion, row: int, form: MeshFormat) -> str:
 
     Args:
         motion: camera coordinates.
-        row: of the motion.
+        row: row of the motion.
         form: ``obj`` or ``ply``.
     """
     frame = int(motion.frame_index[row])
@@ -43,7 +43,7 @@ def earlier_meshes(folder: Path, form: MeshFormat) -> list[Path]:
     """Return the meshes of an earlier export: those of a longer one would stay among the new ones.
 
     Args:
-        folder: of the meshes.
+        folder: the folder of the meshes.
         form: ``obj`` or ``ply``.
 
     Raises:
@@ -75,11 +75,11 @@ def write_meshes(
     """Write one file per sub-frame in place of earlier ones, each whole or not at all; yield each when it is finished.
 
     Args:
-        folder: of the meshes.
+        folder: the folder of the meshes.
         motion: camera coordinates.
         body: model of the motion.
         form: ``obj`` or ``ply``.
-        texture_png: the person's texture as an sRGB picture; .obj files refer to it.
+        texture_png: the person's texture as an sRGB image; .obj files refer to it.
 
     Raises:
         TemporaryError: see `earlier_meshes`.
@@ -90,7 +90,7 @@ def write_meshes(
     textured = form == "obj" and texture_png is not None
     if textured:
         assert texture_png is not None
-        write_bytes_atomic(folder / _MATERIAL, _MATERIAL_TEXT)  # it tells that the texture is ours
+        write_bytes_atomic(folder / _MATERIAL, _MATERIAL_TEXT)  # it marks the texture as ours
         write_bytes_atomic(folder / _TEXTURE, texture_png)
     faces, surface = body.mesh.faces.numpy(), _obj_surface(body, textured)
     for row in range(len(motion.poses)):
@@ -110,10 +110,10 @@ def _posed(shaped: ShapedBody, motion: SampledMotion, row: int) -> Float[Array, 
 
 
 def _obj_surface(body: Body, textured: bool) -> bytes:
-    """What all instants share: texture coordinates (v = 0 at the bottom in .obj) and faces (counted from 1).
+    """Return the constant part: texture coordinates (v = 0 at the bottom in .obj) and faces (counted from 1).
 
-    Not by trimesh, which has one texture coordinate per vertex: every seam would split the surface, and vertices would
-    no longer be the body model's.
+    trimesh is not used, since it has one texture coordinate per vertex: every seam would split the surface, and
+    vertices would no longer be the body model's.
     """
     faces = body.mesh.faces.numpy() + 1
     if not textured:

@@ -1,4 +1,4 @@
-"""The motion files of a run, by the names that options and people use."""
+"""The motion files of a run, by the names of the option."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,12 +17,12 @@ from hfb.motion.sampled import SampledMotion
 
 @dataclass(frozen=True)
 class Exported:
-    """A person's motion and what belongs to it.
+    """A person's motion and the data that exports need.
 
     Attributes:
-        betas_space: whose shape coefficients the motion has.
-        body: the model it was fitted with; None where only formats without a surface are asked for.
-        texture_png: the person's texture as an sRGB picture.
+        betas_space: space of the motion's shape coefficients.
+        body: the model it was fitted with; None is enough for formats without a surface.
+        texture_png: the person's texture as an sRGB image.
     """
 
     motion: SampledMotion
@@ -36,7 +36,7 @@ def write_motion_file(folder: Path, form: MotionFormat, exported: Exported) -> P
     """Write one format's file, whole or not at all.
 
     Args:
-        folder: to write to.
+        folder: folder to write to.
         form: name of the format.
         exported: the motion with its body and texture.
 

@@ -1,4 +1,4 @@
-"""A person's surface as viewers and graphics cards take it: one index per corner, weights in sets of four."""
+"""A person's surface for viewers and graphics cards: one index per corner, weights in sets of four."""
 
 from dataclasses import dataclass
 
@@ -17,9 +17,12 @@ class Skin:
     """The person in the rest pose; vertices on seams of the texture come once per texture coordinate.
 
     Attributes:
-        vertices: [m]. normals: of length one. uv: v = 0 is the top row of the texture.
-        joints, weights: sets of four per vertex, the heaviest first; as many sets as the model needs.
-        corners: of the faces, three each.
+        vertices: [m].
+        normals: normals of length one.
+        uv: v = 0 is the top row of the texture.
+        joints: sets of four per vertex, the heaviest first; as many sets as the model needs.
+        weights: sets of four per vertex, the heaviest first; as many sets as the model needs.
+        corners: corners of the faces, three each.
     """
 
     vertices: Float[Array, "P 3"]
@@ -53,7 +56,7 @@ def skin_of(body: Body, betas: Float[Tensor, "K"]) -> Skin:
 
 
 def _influences(body: Body) -> list[tuple[Shaped[Array, "V 4"], Float[Array, "V 4"]]]:
-    """(joints, weights) of every vertex in sets of four, the heaviest first; as many sets as the model needs."""
+    """Return (joints, weights) of every vertex in sets of four, the heaviest first; as many sets as the model needs."""
     weights, joints = body.skinning_weights.double().sort(dim=1, descending=True, stable=True)
     sets = -(-int((weights > 0).sum(1).max()) // _SET)
     shares = weights[:, : _SET * sets] / weights[:, : _SET * sets].sum(1, keepdim=True)

@@ -1,6 +1,6 @@
-"""motion.glb: the person with skin, skeleton, texture and two animations: as fast as it was, and slowed down.
+"""motion.glb: the person with skin, skeleton, texture and two animations, in real time and in slow motion.
 
-The world is glTF's (metres, y up); the camera that took the pictures is at its origin and looks along -z, as glTF's own
+The world is glTF's (metres, y up); the camera that took the images is at its origin and looks along -z, as glTF's own
 cameras do. One node turns the camera's frame into that world, so that joints and animations below it are those of
 motion.npz. Each animation has one key per sub-frame, at its exact time.
 
@@ -44,7 +44,7 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
     Args:
         motion: camera coordinates.
         body: the model that the motion was fitted with.
-        texture_png: the person's texture as an sRGB picture; a plain colour where there is none.
+        texture_png: the person's texture as an sRGB image; a plain colour where there is none.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -89,7 +89,7 @@ def write_glb(path: Path, motion: SampledMotion, body: Body, texture_png: bytes 
     """Write the file whole or not at all; see `skinned_glb`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
         body: the model that the motion was fitted with.
         texture_png: the person's texture as an sRGB image; a plain colour where there is none.
@@ -98,7 +98,7 @@ def write_glb(path: Path, motion: SampledMotion, body: Body, texture_png: bytes 
 
 
 def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
-    """What a program may want to know of the whole file."""
+    """Return the file's `extras`."""
     return {
         "betas": [round(float(beta), 6) for beta in motion.betas],
         "betas_space": body.betas_space,
@@ -111,7 +111,7 @@ def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
 
 
 def _mesh(buffer: GlbBuffer, body: Body, betas: Float[Tensor, "K"]) -> dict[str, Any]:
-    """The person in the rest pose."""
+    """Add the person in the rest pose and return the mesh's primitive."""
     skin = skin_of(body, betas)
     attributes = {
         "POSITION": buffer.add(skin.vertices, ARRAY_BUFFER, bounds=True),
@@ -125,7 +125,7 @@ def _mesh(buffer: GlbBuffer, body: Body, betas: Float[Tensor, "K"]) -> dict[str,
 
 
 def _joint_nodes(motion: SampledMotion, keys: MotionKeys, rest: Float[Array, "24 3"]) -> list[dict[str, Any]]:
-    """The skeleton, standing as it does in the first sub-frame."""
+    """Return the skeleton, posed as in the first sub-frame."""
     radius = motion.joint_radius_mm
     nodes: list[dict[str, Any]] = []
     for joint, (name, parent) in enumerate(zip(JOINT_NAMES, PARENTS, strict=True)):
@@ -148,7 +148,7 @@ def _joint_nodes(motion: SampledMotion, keys: MotionKeys, rest: Float[Array, "24
 
 
 def _animations(buffer: GlbBuffer, keys: MotionKeys, rest: Float[Array, "24 3"], slow: float) -> list[dict[str, Any]]:
-    """The same poses at two paces."""
+    """Return both animations of the same poses."""
     places = buffer.add(_rows(rest[0] + keys.translations))
     turns = [buffer.add(_rows(np.roll(keys.quaternions[:, joint], -1, -1))) for joint in range(JOINT_COUNT)]
     animations = []

@@ -1,4 +1,4 @@
-"""The rate at which a video was captured, where it is stored to be shown at another one: slow motion and time lapse."""
+"""The rate at which a video was captured, where it differs from that of its time stamps: slow motion, time lapse."""
 
 import re
 import struct
@@ -22,7 +22,7 @@ def stated_capture_rate(path: Path, metadata: Mapping[str, str]) -> Rate | None:
     """Read a file's capture rate: Android's entry, Sony's XML or GoPro's settings; None where there is none.
 
     Args:
-        path: of the video.
+        path: the video file.
         metadata: the container's and the stream's.
     """
     for name, text in sorted(metadata.items()):
@@ -49,7 +49,7 @@ def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
     """Return the remark that a file's capture rate is used instead of its time stamps' rate.
 
     Args:
-        name: of the video.
+        name: name of the video.
         capture: the capture rate and its source.
         stored_fps: rate of the time stamps.
     """
@@ -62,10 +62,10 @@ def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
 def is_time_mapped(path: Path) -> bool:
     """Return whether an MP4's or MOV's edit list changes the speed of parts of it, as a telephone's slow motion does.
 
-    FFmpeg takes every edit for one at full speed and repeats frames; the tracks' own time stamps are the camera's.
+    FFmpeg treats every edit as one at full speed and repeats frames; the tracks' own time stamps are the camera's.
 
     Args:
-        path: of the video.
+        path: the video file.
     """
     for _, content in _boxes_of(path, (b"moov", b"trak", b"edts", b"elst")):
         size, at = (20, 16) if content[:1] == b"\x01" else (12, 8)  # version, of 64 or 32 bits
@@ -99,7 +99,7 @@ def _sony_rate(xml: bytes) -> float | None:
 
 
 def _gopro_rate(settings: bytes) -> float | None:
-    """VFPS of GoPro's key-length-value records: numerator and denominator."""
+    """Read VFPS of GoPro's key-length-value records: numerator and denominator."""
     at = settings.find(b"VFPS")
     if at < 0 or len(settings) < at + 8:
         return None
@@ -113,7 +113,7 @@ def _gopro_rate(settings: bytes) -> float | None:
 
 
 def _boxes_of(path: Path, *wanted: tuple[bytes, ...]) -> Iterator[tuple[bytes, bytes]]:
-    """(kind, content) of the boxes of an MP4 or MOV at the given places; nothing of other files, or damaged ones."""
+    """Yield (kind, content) of an MP4's or MOV's boxes at the given places; nothing of other or damaged files."""
     try:
         with path.open("rb") as file:
             end = file.seek(0, 2)

@@ -1,7 +1,7 @@
-"""Footage of one static camera: a video file, a folder of pictures or a list of them, as a stream of exact frames.
+"""Footage of one static camera: a video file, a folder or a list of images, as a stream of exact frames.
 
-A look through the whole range comes first: afterwards every frame is known to decode, and when it was taken. Frames are
-then read from wherever they are wanted; memory is that of a few frames, however long the footage is.
+The whole range is decoded once first, which verifies every frame and gives its time. Frames are then read from any
+place; memory is that of a few frames, whatever the length of the footage.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,18 +33,21 @@ _Wanted = tuple[int, int | None, float | None, float | None, Path]
 
 @dataclass(frozen=True, eq=False)
 class Footage:
-    """Frames 0 .. count - 1 of the chosen range; paths and numbers only, so it travels between processes.
+    """Frames 0 .. count - 1 of the chosen range; paths and numbers only, so that it can be sent between processes.
 
     Attributes:
-        source: the video, or the folder or first picture. files: the video, or the pictures in order.
-        times_s: when each frame was taken, on the footage's own clock; of an average, its first.
+        source: the video, or the folder or first image.
+        files: the video, or the images in order.
+        times_s: time of each frame on the footage's own clock; of an average, its first frame's.
         interval_s: nominal, from frame to frame.
-        average: how many frames of the file are averaged in one. first: number of the range's first frame in the file.
+        average: number of the file's frames that are averaged to one.
+        first: number of the range's first frame in the file.
         bits: 8, or 16 where a frame holds more than 8 bits can.
         transfer: the light of the frames that `frames` yields.
-        loss: what a damaged file lost, one sentence. remarks: this and all else that a user should know.
+        loss: loss in a damaged file, one sentence.
+        remarks: this and all else that a user should know.
         recorded_exposure: (seconds, where the file says so) of its metadata.
-        lens: whose distortion is taken out of every frame; see `through`.
+        lens: lens whose distortion is removed from every frame; see `through`.
         tick_s: the resolution of the clock of its time stamps.
     """
 
@@ -75,7 +78,7 @@ class Footage:
         """Return the footage with a lens' distortion removed from every frame.
 
         Args:
-            lens: to remove; None for none.
+            lens: lens whose distortion is removed; None for none.
         """
         return replace(self, lens=lens)
 
@@ -107,7 +110,7 @@ class Footage:
         """Yield some frames as `frames` does; cheaper than one call each.
 
         Args:
-            numbers: of the frames, ascending.
+            numbers: numbers of the frames, ascending.
         """
         if self.index is None or self.average > 1:
             for number in numbers:
@@ -141,7 +144,7 @@ class Footage:
         return frame if self.lens is None else self.lens.undistorted(frame)
 
     def _single(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
-        """Frames of the file as stored."""
+        """Yield frames of the file as stored."""
         if self.index is None:
             yield from (
                 read_picture_srgb(path, self.stored) for path in self.files[self.first + start : self.first + stop]
@@ -166,19 +169,19 @@ def open_footage(
     """Look through footage: how many frames decode, when each was taken, what is lost.
 
     Args:
-        source: a video, a folder of pictures (in the natural order of their names), or pictures in the given order.
+        source: a video, a folder of images (in the natural order of their names), or images in the given order.
         start: range of frames of the file, `stop` exclusive.
         stop: range of frames of the file, `stop` exclusive.
         start_s: the same in seconds, on the file's clock from its first frame.
         stop_s: the same in seconds, on the file's clock from its first frame.
-        average: so many neighbouring frames become one, averaged in linear light.
-        transfer: how the file stores light.
-        fps: of pictures, which have no clock; wins over a video's own rate: its times are scaled.
-        scan: ``progressive``: frames are whole pictures, whatever their flags say.
+        average: number of neighbouring frames that are averaged to one, in linear light.
+        transfer: transfer curve of the file.
+        fps: frame rate of images, which have no clock; it has priority over a video's own rate: its times are scaled.
+        scan: ``progressive``: frames are whole images, whatever their flags say.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
-        InputError: nothing there, nothing decodes, an empty range, pictures of different sizes, an absurd size,
+        InputError: nothing there, nothing decodes, an empty range, images of different sizes, an absurd size,
             interlaced or high dynamic range video.
     """
     if average < 1:
@@ -231,7 +234,7 @@ def _of_video(
     """Return the footage, the number of frames lost, and the wanted frames that can be read as (first, last + 1).
 
     Args:
-        place: of the footage.
+        place: path of the footage.
         files: the video alone.
         wanted: range of frames.
         watched: refuse interlaced frames.
@@ -269,7 +272,7 @@ def _of_video(
 
 
 def _remarks(index: VideoIndex) -> Iterator[str]:
-    """What a user should know of how a video is read."""
+    """Yield remarks for the user on how a video is read."""
     yield from index.remarks
     if index.aspect != 1:
         yield (
@@ -279,7 +282,7 @@ def _remarks(index: VideoIndex) -> Iterator[str]:
 
 
 def _within(whole: Footage, first: int, last: int, fps: float | None) -> Footage:
-    """A range of frames; a rate that is told wins, as for high-speed footage that is stored to play slowly."""
+    """Return a range of frames; a stated rate has priority, as for high-speed footage that is stored to play slowly."""
     times_s, interval_s, remarks = whole.times_s, whole.interval_s, whole.remarks
     if is_pulled_down(times_s):
         interval_s = float(times_s[-1] - times_s[0]) / (len(times_s) - 1)
@@ -294,7 +297,7 @@ def _within(whole: Footage, first: int, last: int, fps: float | None) -> Footage
 
 
 def _averaged(sharp: Footage, average: int) -> Footage:
-    """Every `average` frames as one; what is left over at the end is left out."""
+    """Average every `average` frames to one; a rest at the end is dropped."""
     left_over = sharp.count % average
     if sharp.count < average:
         raise InputError(
@@ -316,7 +319,7 @@ def _averaged(sharp: Footage, average: int) -> Footage:
 def _range(
     times_s: Float[Array, "T"], start: int, stop: int | None, start_s: float | None, stop_s: float | None, place: Path
 ) -> tuple[int, int]:
-    """(first, last + 1) frame of the file."""
+    """Return the (first, last + 1) frame of the file."""
     clock = times_s - times_s[0]
     tolerance = 1e-6
     first = max(start, int(np.searchsorted(clock, start_s - tolerance)) if start_s is not None else 0)

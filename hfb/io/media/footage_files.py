@@ -1,4 +1,4 @@
-"""Which files footage is made of: a video, or pictures in the order in which they were taken."""
+"""The files of footage: a video, or images in the order in which they were taken."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from hfb.photometry import Transfer
 
 
 def footage_files(source: Path | Sequence[Path]) -> tuple[Path, ...]:
-    """Return a video by itself, the images of a folder in their natural order, or the given images.
+    """Return the video alone, the images of a folder in their natural order, or the given images.
 
     Args:
         source: a video, a folder, or images.
@@ -42,10 +42,10 @@ def one_size(files: Sequence[Path]) -> tuple[int, int, int]:
         files: images of a clip, in order.
 
     Raises:
-        InputError: one is no picture, of another size, or too large.
+        InputError: one is no image, of another size, or too large.
 
     Raises:
-        InputError: one is no picture, of another size, or too large.
+        InputError: one is no image, of another size, or too large.
     """
     sizes = [picture_size(path) for path in files]
     height, width, _ = sizes[0]
@@ -68,7 +68,7 @@ def sample_remarks(files: Sequence[Path], transfer: Transfer) -> tuple[str, ...]
         transfer: the light that the user states.
 
     Raises:
-        InputError: one is no picture, or all seem to be of fewer bits than their files are.
+        InputError: one is no image, or all seem to be of fewer bits than their files are.
     """
     chosen = sorted({0, len(files) // 2, len(files) - 1})
     seen = [decode_picture(files[number], transfer) for number in chosen]

@@ -1,4 +1,4 @@
-"""Which files of a folder are frames, and which the empty scene, by their names alone. Light to import."""
+"""Names of frames and of background plates in a folder. Light to import."""
 
 import re
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ def natural_order(paths: Iterable[Path]) -> list[Path]:
     """Sort by name, numbers in it as numbers: ``f2.png`` before ``f10.png``.
 
     Args:
-        paths: to sort.
+        paths: paths to sort.
     """
 
     def key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
@@ -35,7 +35,7 @@ def pictures_in(folder: Path) -> list[Path]:
     """Return the images of a folder in their natural order; none where it cannot be read.
 
     Args:
-        folder: to list.
+        folder: folder to list.
     """
     return natural_order(
         path for path in folder.glob("*") if path.suffix.lower() in PICTURE_SUFFIXES and not is_hidden(path)
@@ -43,10 +43,10 @@ def pictures_in(folder: Path) -> list[Path]:
 
 
 def others_in(folder: Path) -> list[Path]:
-    """Return files of a folder that a user may take for images although hfb reads none of their kind.
+    """Return image files of a folder whose kind hfb does not read.
 
     Args:
-        folder: to list.
+        folder: folder to list.
     """
     return natural_order(
         path for path in folder.glob("*") if path.suffix.lower() in _FOREIGN_SUFFIXES and not is_hidden(path)
@@ -57,7 +57,7 @@ def is_plate(path: Path) -> bool:
     """Return whether `path` is named like a background plate, which is no frame.
 
     Args:
-        path: of a file.
+        path: a file.
     """
     return _PLATE_NAME.fullmatch(path.stem) is not None
 
@@ -66,6 +66,6 @@ def is_hidden(path: Path) -> bool:
     """Return whether a file is hidden, such as the ._NAME that macOS puts beside NAME on foreign disks.
 
     Args:
-        path: of a file.
+        path: a file.
     """
     return path.name.startswith(".")

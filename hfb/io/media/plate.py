@@ -1,4 +1,4 @@
-"""The clean background of footage: a picture of the empty scene or one made from the footage, and its checks."""
+"""The clean background of footage: an image of the empty scene or one made from the footage, and its checks."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +30,7 @@ _LEAST_EDGES_KEPT = 0.5
 _GHOST_RATE, _GHOST_SHARE, _CLEARLY = 0.3, 0.25, 1.5
 _CONSTANT, _CONSTANT_SHARE = 0.05, 0.6
 _SURE_FROM = _LOOKS
-"""Frames from which a picture of the user's is refused: before bricks or stripes a plainly dressed figure that has
+"""Frames from which an image of the user's is refused: before bricks or stripes a plainly dressed figure that has
 hardly moved looks like a ghost (49 of 240 such empty plates over two frames, 20 over eight, 7 over fifteen)."""
 
 
@@ -40,13 +40,13 @@ def find_plate(
     """Return the background as the footage stores images, in [0, 1], and a sentence on its source.
 
     Args:
-        footage: of the clip.
-        how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that of
-            the longest stretch in which nothing moves and nobody stands.
+        footage: the clip's footage.
+        how: an image's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that of
+            the longest stretch without movement and without a person.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
-        InputError: the picture cannot be read, nothing is ever still, or see `check_plate`.
+        InputError: the image cannot be read, nothing is ever still, or see `check_plate`.
     """
     if isinstance(how, Path):
         picture = decode_picture(how, footage.stored)
@@ -68,7 +68,7 @@ def find_plate(
 
 
 def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[Array, "H W 3"]:
-    """A picture taken out of a video whose pixels are not square, as its frames are read; it may be turned already."""
+    """Stretch an image from a video of non-square pixels like its frames; it may be turned already."""
     height, width = stored.shape[:2]
     aspect = footage.index.aspect if footage.index else 1.0
     if aspect != 1 and (footage.height, footage.width) in (
@@ -80,7 +80,7 @@ def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[
 
 
 def _best_still(footage: Footage, on_progress: OnProgress | None) -> tuple[Float[Array, "H W 3"], str]:
-    """The longest stretch without movement whose picture is the empty scene: somebody may wait in the longest."""
+    """Return the longest still stretch that shows the empty scene: a person may stand still in the longest of all."""
     refused: InputError | None = None
     for first, last in _still_spans(footage, on_progress)[:_MOST_SPANS]:
         plate = _median(footage, first + _spread_over(last + 1 - first, _count_in_memory(footage)), None)
@@ -99,7 +99,7 @@ def check_plate(plate: Float[Array, "h w 3"], footage: Footage, sure: bool = Tru
 
     Args:
         plate: encoded like the frames.
-        footage: of the clip.
+        footage: the clip's footage.
         sure: refuse it where it seems to hold a person; else that is returned as a doubt.
 
     Raises:
@@ -198,7 +198,7 @@ def constant_changes(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"
 
 
 def _constant(looks: Float[Array, "n h w 3"], changed: Bool[Array, "n h w"], least: float) -> Shaped[Array, "h w"]:
-    """1 where at least so many looks differ, most of them in the same way, but for specks; 0 elsewhere."""
+    """Return 1 where enough frames differ, most of them in the same way, except specks; 0 elsewhere."""
     count = changed.sum(0)
     often = count >= least
     usual = np.nanmedian(np.where((changed & often)[..., None], looks, np.where(often, np.nan, 0)[..., None]), axis=0)
@@ -213,7 +213,7 @@ def _largest_area(mask: Bool[Array, "h w"]) -> int:
 
 
 def _slope(gray: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """How steep a picture is [per pixel]."""
+    """Return an image's gradient magnitude [per pixel]."""
     gray = np.asarray(gray, np.float32)
     return np.hypot(cv2.Sobel(gray, -1, 1, 0), cv2.Sobel(gray, -1, 0, 1)) / 8
 
@@ -237,7 +237,7 @@ def _small(picture: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:
 
 
 def _count_in_memory(footage: Footage) -> int:
-    """How many frames a median may hold at once."""
+    """Return how many frames a median may hold at once."""
     frame_bytes = footage.height * footage.width * 3 * (footage.bits // 8)
     return int(np.clip(_MEMORY_BYTES // frame_bytes, _FEWEST_FRAMES, _MOST_FRAMES))
 
@@ -247,7 +247,7 @@ def _spread(footage: Footage, most: int) -> Array:
 
 
 def _spread_over(count: int, most: int) -> Array:
-    """An odd number of frames (the median is then one of the values), evenly over the footage; both of only two."""
+    """Return an odd number of frames (the median is then one of the values), evenly spread; both of only two."""
     wanted = min(most, count)
     wanted -= 1 - wanted % 2 if wanted > 2 else 0
     return np.unique(np.linspace(0, count - 1, wanted).round().astype(np.int64))
@@ -264,14 +264,14 @@ def _median(footage: Footage, chosen: Array, on_progress: OnProgress | None) -> 
     plate = np.empty((footage.height, footage.width, 3), np.float32)
     for top in range(0, footage.height, _BAND):
         band = slice(top, top + _BAND)
-        # Sorted as 16 bits along the last axis: many times faster than a median across pictures of 8 bits.
+        # Sorted as 16 bits along the last axis: many times faster than a median across images of 8 bits.
         levels = np.sort(np.stack([one[band] for one in stack], -1).astype(np.uint16), axis=-1)
         plate[band] = (levels[..., low].astype(np.float32) + levels[..., high]) / (2 * full)
     return plate
 
 
 def _still_spans(footage: Footage, on_progress: OnProgress | None) -> list[tuple[int, int]]:
-    """(first, last) of every stretch in which no frame differs from the stretch's first one, the longest first."""
+    """Return (first, last) of every stretch in which no frame differs from its first one, the longest first."""
     spans: list[tuple[int, int]] = []
     first, reference = 0, None
     for number, frame in enumerate(footage.frames()):

@@ -1,4 +1,4 @@
-"""When the shutter was open: what clip.toml and the options say, on the time stamps of the footage."""
+"""Exposure times by clip.toml and options, on the time stamps of the footage."""
 
 from dataclasses import dataclass
 
@@ -16,10 +16,11 @@ class Timing:
     """The clock of a clip.
 
     Attributes:
-        exposure_s: how long the shutter was open, each time. interval_s: nominal, from one opening to the next.
-        openings_s: when it opened for every frame, since it opened for the first; true also where the rate varies.
+        exposure_s: length of each exposure.
+        interval_s: nominal, from one opening to the next.
+        openings_s: opening of the shutter for every frame, since the first one; true also where the rate varies.
         first_opening_s: on the footage's own clock.
-        source: where the exposure time comes from, one sentence.
+        source: source of the exposure time, one sentence.
     """
 
     exposure_s: float
@@ -40,7 +41,7 @@ def settle_timing(footage: Footage, exposure: ClipExposure, config: ExposureConf
     frames had that interval.
 
     Args:
-        footage: of the clip.
+        footage: the clip's footage.
         exposure: entries of clip.toml.
         config: options.
 
@@ -62,7 +63,7 @@ def settle_timing(footage: Footage, exposure: ClipExposure, config: ExposureConf
 
 
 def _exposure(footage: Footage, exposure: ClipExposure, config: ExposureConfig) -> tuple[float, str]:
-    """(exposure [s], where it comes from)."""
+    """Return the exposure [s] and its source."""
     interval_s = footage.interval_s
     if footage.average > 1:
         return interval_s, f"exposure: the whole interval, as the mean of {footage.average} frames"
@@ -82,7 +83,7 @@ def regular(times_s: Float[Array, "T"], share: float = 0.25) -> bool:
     """Return whether all intervals between frames equal the median within a share of it.
 
     Args:
-        times_s: of the frames.
+        times_s: times of the frames.
         share: largest relative deviation.
     """
     if len(times_s) < 3:

@@ -1,4 +1,4 @@
-"""The named arrays of a model file, .npz or .pkl, told apart by content; sizes are checked before anything is read."""
+"""The named arrays of a model file, .npz or .pkl, recognised by content; sizes are checked before reading."""
 
 from collections.abc import Collection
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What another system left in a file, whatever container it is in: told by content, and no code of it is ever run."""
+"""Content of another system's file, whatever its container, recognised by content; its code is never run."""
 
 import bz2
 import json
@@ -38,7 +38,7 @@ def read_contents(path: Path) -> Any:
     are pickles, joblib's pickles (compressed ones too), files of torch.save, .npy, .npz and JSON.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: not there, too large, damaged, or a pickle that names code: the sentence says which.
@@ -68,7 +68,7 @@ def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array,
 
     Args:
         value: part of a file.
-        *shape: what it must be; None for a side of any length.
+        *shape: required shape; None for a side of any length.
         finite: false where a row that is not finite leaves the others as they are.
 
     Raises:
@@ -131,7 +131,7 @@ class _Room:
         self.entries, self.numbers = _MAX_ENTRIES, _MAX_NUMBERS
 
     def array(self, value: Any) -> Any:
-        """What stands for an array, as one."""
+        """Convert a placeholder to an array."""
         array = to_array(value)
         self.numbers -= array.size
         if self.numbers < 0:
@@ -140,7 +140,7 @@ class _Room:
 
 
 def _gathered(value: Any, room: _Room, depth: int = 0) -> Any:
-    """An array, or lists of them: JSON has nothing else."""
+    """Return an array, or lists of arrays: JSON has nothing else."""
     if not isinstance(value, list | tuple):
         return room.array(value)
     room.entries -= len(value)
@@ -266,7 +266,7 @@ def _zipped(data: bytes, steps: Steps) -> Any:
 
 
 def _npy(data: bytes, steps: Steps) -> Any:
-    """An array of numbers or texts; what an array of objects holds, where it is a single one."""
+    """Read an array of numbers or texts, or the content of a single array of objects."""
     try:
         return _texts_as_list(parse_array(data, partial(_objects, steps)))
     except InputError:
@@ -284,7 +284,7 @@ def _texts_as_list(array: Any) -> Any:
 
 
 def _single(value: Any) -> Any:
-    """An object array around one thing is that thing, around several their list."""
+    """Return the content of an object array with one entry, or the list of several."""
     if isinstance(value, NumpyArray) and isinstance(value.state, tuple) and len(value.state) == 4:
         objects = value.state[3]
         if isinstance(objects, list):
@@ -293,7 +293,7 @@ def _single(value: Any) -> Any:
 
 
 def _nested(objects: list[Any], shape: tuple[int, ...]) -> Any:
-    """A flat list as lists of lists; the thing itself where the array had no sides."""
+    """Return a flat list as lists of lists; the entry itself where the array had no sides."""
     if not shape:
         return objects[0] if len(objects) == 1 else objects
     if len(shape) > _MAX_OBJECT_SIDES or len(objects) != math.prod(shape):

@@ -1,4 +1,4 @@
-"""The bytes that a pickle is read from, and how much it may make of them."""
+"""The byte stream of a pickle, with a limit on the work of reading it."""
 
 import io
 from typing import Any
@@ -12,10 +12,10 @@ _BYTES_PER_STEP = 1 << 12  # that a call copies
 
 
 class Steps:
-    """How many steps reading one file may take: all its pickles, and those within them, take from the same.
+    """The number of steps that reading one file may take, shared by all its pickles and those within them.
 
     Args:
-        file_bytes: of the file as it lies on the disk; what is unpacked is as long as somebody wishes.
+        file_bytes: size of the file on disk; its unpacked content may have any size.
     """
 
     def __init__(self, file_bytes: int) -> None:
@@ -43,10 +43,11 @@ class Steps:
 
 
 class Bytes(io.BytesIO):
-    """A stream over bytes in memory, parts of which can be had without a copy.
+    """A stream over bytes in memory that returns parts without a copy.
 
     Args:
-        steps: what reading it takes from; by default the bytes are taken for the file.
+        data: content.
+        steps: limit of the work; by default that of a file of these bytes.
     """
 
     def __init__(self, data: bytes, steps: Steps | None = None) -> None:
@@ -78,7 +79,7 @@ def weight_of(argument: Any) -> int:
     """Return the steps that a function spends on an argument.
 
     Args:
-        argument: of the function.
+        argument: argument of the function.
     """
     if isinstance(argument, list | tuple | dict):
         return len(argument)

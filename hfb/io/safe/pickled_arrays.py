@@ -1,4 +1,4 @@
-"""From what stands for arrays and tensors in a pickle to numpy arrays, rebuilt by hand from the bytes it held."""
+"""Conversion of placeholders of arrays and tensors to numpy arrays, from their bytes."""
 
 import math
 from typing import Any
@@ -91,7 +91,7 @@ def _joblib_array(value: JoblibArray) -> Shaped[Array, "..."]:
 
 
 def _torch_tensor(value: TorchTensor) -> Shaped[Array, "..."]:
-    """A tensor out of its storage: a view of the file's bytes, copied once."""
+    """Build a tensor from its storage: a view of the file's bytes, copied once."""
     if len(value.arguments) < 4 or not isinstance(value.arguments[0], TorchStorage):
         raise InputError("it holds a tensor without its numbers")
     storage, offset, sizes, strides = value.arguments[:4]

@@ -1,8 +1,8 @@
 """Pickles read without running them.
 
-A pickle is a programme: it may name any function and call it. Here every name resolves to a placeholder of ours
-or to an error, so nothing of numpy, scipy, chumpy, torch, joblib or the system is ever called;
-hfb.io.safe.pickled_arrays rebuilds arrays by hand from the bytes that the placeholders collected.
+A pickle is a program: it may name any function and call it. Here every name resolves to a placeholder of hfb or to an
+error, so nothing of numpy, scipy, chumpy, torch, joblib or the system is ever called; `hfb.io.safe.pickled_arrays`
+rebuilds arrays from the bytes in the placeholders.
 """
 
 import math
@@ -56,7 +56,7 @@ _STORAGES = {
 _MAX_NAME = 200
 
 TorchReader = Callable[[bytes, Steps], Any]
-"""Such as `hfb.io.safe.torch_files.load_torch`: handed in, since it reads pickles itself."""
+"""Type of `hfb.io.safe.torch_files.load_torch`, which is a parameter since it reads pickles itself."""
 
 _ALLOWED: dict[str, Any] = {
     "numpy.ndarray": NumpyArray,
@@ -102,7 +102,7 @@ class _Unpickler(_PythonUnpickler):
         self._load_torch = load_torch
 
     def load(self) -> Any:
-        """As the base class, for so many steps: each takes a byte of the stream and half a microsecond."""
+        """Load like the base class, for a limited number of steps: each takes a byte and half a microsecond."""
         self._unframer = pickle._Unframer(self._file_read, self._file_readline)  # type: ignore[attr-defined]
         self.read, self.readinto = self._unframer.read, self._unframer.readinto
         self.readline = self._unframer.readline
@@ -135,7 +135,7 @@ class _Unpickler(_PythonUnpickler):
         raise InputError(f"its pickle asks for {full}, which plain numbers do not need and hfb does not run")
 
     def _saved_by_torch(self, data: Any = b"") -> Any:
-        """A file of torch within the pickle, as tensors outside torch.save are kept."""
+        """Load a file of torch within the pickle, as tensors outside torch.save are stored."""
         inner = raw_bytes(data)
         if inner[:2] == b"PK":  # torch writes its older kind there; archives within archives are bombs
             raise InputError("it holds an archive within itself")
@@ -150,7 +150,7 @@ class _Unpickler(_PythonUnpickler):
         raise InputError("its pickle uses the extension registry")
 
     def load_build(self) -> None:
-        """As the base class, for placeholders only: a file must not set attributes of anything else."""
+        """Load like the base class, for placeholders only: a file must not set attributes of anything else."""
         if isinstance(self.stack[-2], PlainDict):
             self.stack.pop()
             return
@@ -161,7 +161,7 @@ class _Unpickler(_PythonUnpickler):
             self._read_behind(self.stack[-1])
 
     def _read_behind(self, array: JoblibArray) -> None:
-        """The bytes of a joblib array: padding that its first byte counts, then the numbers."""
+        """Read the bytes of a joblib array: padding whose length its first byte gives, then the numbers."""
         if self._unframer.current_frame is not None and self._unframer.current_frame.read(1):
             raise InputError("it holds an array in the middle of something else")
         code = array.field("dtype").arguments[0]
@@ -173,23 +173,23 @@ class _Unpickler(_PythonUnpickler):
         array.data = self._stream.view(item_bytes(code) * math.prod(sides_of(array.field("shape"))))
 
     def _count(self, arguments: Any) -> None:
-        """Takes steps for what a call looks at: the same long list may be handed over again and again."""
+        """Take steps for a call's arguments, since the same long list may be passed again and again."""
         if not isinstance(arguments, tuple):
             raise InputError("it calls something with arguments that are none")
         self._stream.steps.take(len(arguments) + sum(map(weight_of, arguments)))
 
     def load_reduce(self) -> None:
-        """As the base class, see `_count`."""
+        """Load like the base class, see `_count`."""
         self._count(self.stack[-1])
         super().load_reduce()
 
     def load_newobj(self) -> None:
-        """As the base class, see `_count`."""
+        """Load like the base class, see `_count`."""
         self._count(self.stack[-1])
         super().load_newobj()
 
     def load_newobj_ex(self) -> None:
-        """As the base class, see `_count`."""
+        """Load like the base class, see `_count`."""
         self._count((*self.stack[-2], self.stack[-1]))
         super().load_newobj_ex()
 
@@ -198,13 +198,13 @@ class _Unpickler(_PythonUnpickler):
         super()._instantiate(klass, arguments)
 
     def load_put(self) -> None:
-        """As the base class, for a place that cannot be made to collide: its line may say any number."""
+        """Load like the base class, for keys that cannot be made to collide: the line may hold any number."""
         place = int(self.readline()[:-1])
         check_number(place)
         self.memo[place] = self.stack[-1]
 
     def load_empty_set(self) -> None:
-        """Nothing instead of a set: its entries could collide, and it is of no use here."""
+        """Load None instead of a set, whose entries could collide, and which is not needed."""
         self.append(None)
 
     def load_additems(self) -> None:
@@ -217,22 +217,22 @@ class _Unpickler(_PythonUnpickler):
         self.append(None)
 
     def load_setitem(self) -> None:
-        """As the base class, for keys that cannot be made to collide."""
+        """Load like the base class, for keys that cannot be made to collide."""
         check_keys(self.stack[-2:-1])
         super().load_setitem()
 
     def load_setitems(self) -> None:
-        """As the base class, see `load_setitem`."""
+        """Load like the base class, see `load_setitem`."""
         check_keys(self.stack[::2])
         super().load_setitems()
 
     def load_dict(self) -> None:
-        """As the base class, see `load_setitem`."""
+        """Load like the base class, see `load_setitem`."""
         check_keys(self.stack[::2])
         super().load_dict()
 
     def load_bytearray8(self) -> None:
-        """As the base class, but never allocating more than the file holds."""
+        """Load like the base class, but never allocate more than the file holds."""
         size = int.from_bytes(self.read(8), "little")
         data = self.read(size)
         if len(data) != size:
@@ -257,7 +257,7 @@ def load_from(stream: Bytes, load_torch: TorchReader, outside: Callable[[Any], A
     """Read the next pickle of a stream, which is left at its end.
 
     Args:
-        stream: of bytes, with its limit of steps.
+        stream: bytes with their limit of steps.
         load_torch: reads a file of torch that the pickle holds.
         outside: gives what the pickle refers to outside itself; without it that is an error.
 

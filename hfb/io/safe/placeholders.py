@@ -1,4 +1,4 @@
-"""What stands for the objects of a pickle, nothing but the values they were made with, and for its functions."""
+"""Placeholders of a pickle's objects, which hold only their constructor's values, and of its functions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ _MAX_KEY_TEXT = 1 << 12  # a longer one would be compared, letter by letter, eac
 
 
 class Placeholder:
-    """An object of a class that is never imported: what it was called with, and its state."""
+    """An object of a class that is never imported: its constructor's arguments, and its state."""
 
     kind = "object"
     arguments: Sequence[Any] = ()
@@ -26,7 +26,7 @@ class Placeholder:
         """Return the first of these attributes that the pickled object had.
 
         Args:
-            *names: of attributes.
+            *names: names of attributes.
 
         Raises:
             InputError: it had none.
@@ -73,7 +73,7 @@ class ChumpyArray(Placeholder):
 
 
 class JoblibArray(Placeholder):
-    """Stands for joblib's NumpyArrayWrapper; the array's bytes lie in the stream right behind it.
+    """Stands for joblib's NumpyArrayWrapper; the array's bytes follow it in the stream.
 
     Attributes:
         data: the bytes, not copied; the pickled list of objects where the array is one of objects.
@@ -84,7 +84,7 @@ class JoblibArray(Placeholder):
 
 
 class TorchStorage(Placeholder):
-    """Stands for a storage of torch: `code` says what numbers, `data` gives their bytes."""
+    """Stands for a storage of torch: `code` is the type of its numbers, `data` gives their bytes."""
 
     kind = "torch storage"
     code = ""
@@ -98,7 +98,7 @@ class TorchTensor(Placeholder):
 
 
 class PlainDict(dict[Any, Any]):
-    """Stands for OrderedDict and defaultdict; attributes that hang on it are dropped."""
+    """Stands for OrderedDict and defaultdict; additional attributes are dropped."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(())
@@ -114,7 +114,7 @@ def check_keys(keys: Sequence[Any]) -> None:
     secret, and beside the same text no two numbers have the same.
 
     Args:
-        keys: of the dictionary.
+        keys: keys of the dictionary.
 
     Raises:
         InputError: a key is something else.
@@ -135,7 +135,7 @@ def check_number(key: Any) -> None:
     """Check that a number is below the limit up to which integers are their own hash.
 
     Args:
-        key: of a dictionary.
+        key: key of a dictionary.
 
     Raises:
         InputError: it is something else.
@@ -171,7 +171,7 @@ def encode(text: Any, encoding: Any = "latin1") -> bytes:
     """Encode text as pickles of Python 2 store bytes.
 
     Args:
-        text: to encode.
+        text: text to encode.
         encoding: Latin-1.
 
     Raises:
@@ -187,7 +187,7 @@ def raw_bytes(data: Any = b"", encoding: Any = "latin1") -> bytes:
 
     Args:
         data: bytes, or text.
-        encoding: of a text.
+        encoding: encoding of a text.
 
     Raises:
         InputError: it was given something else.

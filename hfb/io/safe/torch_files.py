@@ -70,7 +70,7 @@ def _zipped(data: bytes, steps: Steps) -> Any:
 
 
 def _older(data: bytes, steps: Steps) -> Any:
-    """Four pickles (a number, a version, a machine, the content), the storages' names, and their numbers."""
+    """Read four pickles (a number, a version, a machine, the content), the storages' names, and their numbers."""
     stream = Bytes(data, steps)
     if load_from(stream, load_torch) != _MAGIC:
         raise InputError("it is not a readable file of torch")
@@ -98,7 +98,7 @@ def _older(data: bytes, steps: Steps) -> Any:
 
 
 def _reference(reference: Any) -> tuple[type[TorchStorage], str, int]:
-    """("storage", class, key, device, entries ...)."""
+    """Resolve ("storage", class, key, device, entries ...)."""
     if not isinstance(reference, tuple) or len(reference) < 5 or reference[0] not in ("storage", b"storage"):
         raise InputError("its pickle refers to something outside the file")
     kind, key, count = reference[1], reference[2], reference[4]

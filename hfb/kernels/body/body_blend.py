@@ -1,8 +1,8 @@
-"""Compiled parts of bodies with pose blend shapes: every vertex is displaced by its pose and skinned in one go.
+"""Compiled bodies with pose blend shapes: every vertex is displaced and skinned in one pass.
 
-Its directions, 3 x 207 numbers, are read from memory once there and once back: they are too many for the processor's
-cache, and are half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced vertices stay where they are for
-the way back, all instants of one side by side.
+A vertex's directions, 3 x 207 numbers, are read from memory once in the forward and once in the backward pass: they
+are too many for the CPU's cache, and take half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced
+vertices are kept for the backward pass, all instants of one side by side.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -15,13 +15,13 @@ from hfb.kernels.body.body_vector import FEATURES, add_features, displacements
 from hfb.kernels.compile import LOOP, entry
 from hfb.kernels.simd import LANES, lanes, load_lanes, multiply_add, prefetch, store_lanes
 
-AHEAD = 4  # vertices whose directions are asked for before they are needed
-_LINE = 32  # 16-bit numbers that memory hands over at once
+AHEAD = 4  # number of vertices whose directions are prefetched
+_LINE = 32  # 16-bit numbers in a cache line
 
 
 @njit(**LOOP)
 def _read_ahead(directions, v):
-    """Have a vertex's directions read; beyond the last one nothing happens."""
+    """Prefetch a vertex's directions; beyond the last one nothing happens."""
     for k in range(0, 3 * FEATURES, _LINE):
         prefetch(directions, 3 * v * FEATURES + k)
 

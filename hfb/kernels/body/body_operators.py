@@ -1,4 +1,4 @@
-"""Joints along their chains and skinning as torch operators, so that autograd, torch.compile and export see them.
+"""Joints along their chains and skinning as torch operators, for autograd, torch.compile and export.
 
 The readable formulas they are tested against are in `hfb.body.skinning`.
 """
@@ -150,9 +150,9 @@ def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weigh
     Args:
         transforms: (S, 24, 3, 4), rest body to world.
         rest: (V, 3) [m].
-        starts: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
-        joints: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
-        weights: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        starts: starts of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        joints: joints of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        weights: weights of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
     kernels_skinning.skin(*arrays(transforms, rest, starts, joints, weights), vertices.numpy())
@@ -207,7 +207,7 @@ skin.register_autograd(_skin_backward, _keep_skin)
 
 
 def _kept(transforms: Tensor, rest: Tensor) -> tuple[int, ...]:
-    """Shape of what `blend_and_skin` keeps for its way back."""
+    """Return the shape of the values that `blend_and_skin` saves for its backward pass."""
     return -(-transforms.shape[0] // LANES), rest.shape[0], 3 * LANES
 
 

@@ -1,9 +1,9 @@
-"""Compiled parts of the body: joints along their chains, and linear blend skinning, with their ways back.
+"""Compiled body: joints along their chains, linear blend skinning, and their gradients.
 
-Skinning works on all instants at once: the 12 entries of a joint's transform lie side by side for every instant
-("lanes", (column, row, instant)), so that a vertex costs a few long vector operations per joint that holds it, and the
-joints that hold it are a list: two to four of 24. The compiler makes such operations of flat loops of a length that it
-knows; nested ones it leaves slow.
+Skinning processes all instants at once: the 12 entries of a joint's transform are side by side for every instant
+("lanes", (column, row, instant)), so that a vertex costs a few long vector operations per joint of its skinning
+weights, which are a list: two to four of 24. The compiler vectorises flat loops of constant length; nested ones stay
+slow.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from hfb.kernels.compile import INLINE, JIT, LOOP, entry, loop_entry
-from hfb.kernels.simd import (  # instants at once: a number that the compiler knows
+from hfb.kernels.simd import (  # instants at once, a constant for the compiler
     LANES,
     lanes,
     load_apart,
@@ -49,7 +49,7 @@ def add_shape(betas, template, rows, shaped):
 
 @njit(**INLINE)
 def _inner_product(rows, k, given):
-    """Of a row and as many numbers."""
+    """Return the inner product of a row with as many numbers."""
     zero, count = lanes(given.dtype.type(0.0)), given.shape[0]
     one, two, three, four = zero, zero, zero, zero
     whole, at = count - count % (4 * LANES), k * count
@@ -195,9 +195,9 @@ def move_point(x, y, z, table, starts, joints, weights, v, to, stride, vertices)
     """Transform a point of every instant and store it.
 
     Args:
-        x: of the point, LANES numbers.
-        y: of the point, LANES numbers.
-        z: of the point, LANES numbers.
+        x: x of the point, LANES numbers.
+        y: y of the point, LANES numbers.
+        z: z of the point, LANES numbers.
         table: (24, 12 x LANES), transforms by `spread`.
         starts: (V + 1), where each vertex's joints and weights begin in their lists.
         joints: joint of each skinning weight.
@@ -222,7 +222,7 @@ def move_point(x, y, z, table, starts, joints, weights, v, to, stride, vertices)
 
 @njit(**INLINE)
 def _row_of(table, at, x, y, z, weight, added):
-    """A row of a joint's transforms times a weighed point."""
+    """Return a row of a joint's transforms times a weighted point."""
     added = multiply_add(load_lanes(table, at + 9 * LANES), weight, added)
     added = multiply_add(load_lanes(table, at), x, added)
     added = multiply_add(load_lanes(table, at + 3 * LANES), y, added)
@@ -355,7 +355,7 @@ def ask_point(table, starts, joints, weights, v, asked, of_rest):
 
 @njit(**INLINE)
 def _column_of(table, at, x, y, z, added):
-    """A column of a joint's transforms times what is asked."""
+    """Multiply a column of a joint's transforms by a gradient."""
     added = multiply_add(load_lanes(table, at), x, added)
     added = multiply_add(load_lanes(table, at + LANES), y, added)
     return multiply_add(load_lanes(table, at + 2 * LANES), z, added)

@@ -1,7 +1,7 @@
-"""Compiled parts: the features of all instants' poses times a vertex's pose blend shapes, there and back.
+"""Compiled products of all instants' pose features with a vertex's pose blend shapes, and their gradients.
 
-Written out block by block, so that every number in reach of a register stays in one: what the compiler makes of loops
-loads most of them again and again.
+The code is written block by block, so that every number stays in a register; compiled loops would load most of them
+again and again.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -21,14 +21,14 @@ def _ahead(builder, position, count):
 
 
 def _directions(context, builder, array_type, array, at, kind):
-    """A block of a vertex's three rows of directions, as real numbers."""
+    """Load a block of a vertex's three rows of directions, as real numbers."""
     rows = [load(context, builder, array_type, array, _ahead(builder, at, row * FEATURES), BLOCK) for row in range(3)]
     block = ir.VectorType(kind, BLOCK)
     return [builder.sitofp(row, block) for row in rows] if isinstance(array_type.dtype, types.Integer) else rows
 
 
 def _sums(builder, blocks):
-    """The sum of each of LANES blocks, side by side: halves, then neighbours of two at a time."""
+    """Return the sum of each of LANES blocks, side by side: halves, then neighbours of two at a time."""
     half = BLOCK // 2
     blocks = [
         builder.fadd(shuffle(builder, one, one, range(half)), shuffle(builder, one, one, range(half, BLOCK)))

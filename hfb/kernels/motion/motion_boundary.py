@@ -1,4 +1,4 @@
-"""Compiled: how far the end of each frame is from the start of the next, with the gradients."""
+"""Compiled distance of the end of each frame from the start of the next, with gradients."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

@@ -12,7 +12,7 @@ TINY = 1e-24  # keeps the norm of a zero quaternion away from zero, as `hfb.geom
 
 @njit(**INLINE)
 def _evaluate(coefficients, u, t, j):
-    """Polynomial j of frame t at an instant, its inverse norm, and it as a unit quaternion."""
+    """Return the inverse norm of polynomial j of frame t at an instant, and its unit quaternion."""
     w = x = y = z = 0.0
     power = 1.0
     for d in range(coefficients.shape[1]):

@@ -1,4 +1,4 @@
-"""Compiled logarithm of rotation matrices, with its way back."""
+"""Compiled logarithm of rotation matrices, with its gradient."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 
@@ -10,7 +10,7 @@ from hfb.kernels.compile import INLINE, loop_entry
 
 @njit(**INLINE)
 def _quaternion(m):
-    """Shepperd's method (`hfb.geometry.rotations.matrix_to_quaternion`): largest of four pivots, w >= 0, not unit."""
+    """Apply Shepperd's method (`hfb.geometry.rotations.matrix_to_quaternion`): largest pivot, w >= 0, not unit."""
     a, e, k = np.float64(m[0, 0]), np.float64(m[1, 1]), np.float64(m[2, 2])
     x, y, z = np.float64(m[2, 1] - m[1, 2]), np.float64(m[0, 2] - m[2, 0]), np.float64(m[1, 0] - m[0, 1])
     xy, xz, yz = np.float64(m[1, 0] + m[0, 1]), np.float64(m[0, 2] + m[2, 0]), np.float64(m[2, 1] + m[1, 2])

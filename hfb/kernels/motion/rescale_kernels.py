@@ -1,4 +1,4 @@
-"""Compiled: a motion as it is for a person with other betas, seen alike, with its way back."""
+"""Compiled rescaling of a path for other betas that keeps the size in the image, with gradients."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 
@@ -19,7 +19,7 @@ def _rest(betas, template, rows, joints):
 
 @njit(**LOOP)
 def _length(joints, parents):
-    """Of all bones [m]."""
+    """Return the total length of all bones [m]."""
     total = 0.0
     for child in range(1, parents.shape[0]):
         x, y, z = _bone(joints, parents[child], child)
@@ -35,7 +35,7 @@ def _bone(joints, parent, child):
 
 @njit(**JIT)
 def _people(betas, reference, template, rows, parents):
-    """Rest joints of both people, and how much longer the bones of the first are."""
+    """Return rest joints of both people, and the ratio of their bones' lengths."""
     now, before = np.empty(template.shape[0], np.float64), np.empty(template.shape[0], np.float64)
     _rest(betas, template, rows, now)
     _rest(reference, template, rows, before)

@@ -1,4 +1,4 @@
-"""A motion as it is for a person with other betas, as a torch operator.
+"""Rescaling of a path for other betas, as a torch operator.
 
 The readable formula that it is tested against is `hfb.motion.trajectory.Trajectory.enlarged`.
 """

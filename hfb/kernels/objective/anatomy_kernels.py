@@ -12,7 +12,7 @@ EPSILON = 1e-12  # as in `hfb.priors.anatomy.twist_swing`
 
 @njit(**INLINE)
 def _cost(angle, lowest, highest, mean, spread, softness):
-    """Of one angle, and its slope."""
+    """Return the cost of one angle, and its slope."""
     distance, excess = (angle - mean) / spread, (angle - min(max(angle, lowest), highest)) / softness
     return 0.5 * (distance * distance + excess * excess), distance / spread + excess / softness
 
@@ -25,7 +25,7 @@ def anatomy(poses, order, tables, softness, values, gradient):
         poses: (S, 23, 3), axis-angle [rad].
         order: (23, 3), axes of twist and swing, see `twist_swing`.
         tables: (4, 23, 3), lowest, highest, mean, spread [rad].
-        softness: of the limits [rad].
+        softness: width over which the limits set in [rad].
         values: (S), filled.
         gradient: (S, 23, 3), filled.
     """
@@ -66,7 +66,7 @@ def anatomy(poses, order, tables, softness, values, gradient):
                 second * factor, tables[0, j, 2], tables[1, j, 2], tables[2, j, 2], tables[3, j, 2], softness
             )
             total += cost_0 + cost_1 + cost_2
-            # The way back: through the factor, the two components of the swing, and the twist.
+            # Backward: through the factor, the two components of the swing, and the twist.
             of_factor = g1 * first + g2 * second
             by_length = 0.0 if still else of_factor * (2.0 * k / (m_squared + k * k) - factor) / m_squared
             g1, g2 = g1 * factor / k, g2 * factor / k

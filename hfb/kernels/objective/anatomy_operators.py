@@ -1,4 +1,4 @@
-"""The anatomical prior as a torch operator, so that autograd, torch.compile and export see it."""
+"""The anatomical prior as a torch operator, for autograd, torch.compile and export."""
 
 from hfb.kernels.objective import anatomy_kernels as kernels
 from hfb.kernels.torch_op import operator
@@ -13,7 +13,7 @@ def anatomy(poses: Tensor, order: Tensor, tables: Tensor, softness: float) -> tu
         poses: (S, 23, 3), axis-angle [rad].
         order: (23, 3), the axes of twist and swing.
         tables: (4, 23, 3) float64, lowest, highest, mean, spread [rad].
-        softness: of the limits [rad].
+        softness: width over which the limits set in [rad].
     """
     values, gradient = poses.new_empty(len(poses)), poses.new_empty(poses.shape)
     given = poses.detach().contiguous().numpy(), order.numpy(), tables.numpy()

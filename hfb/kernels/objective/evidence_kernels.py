@@ -1,4 +1,4 @@
-"""Compiled parts: how far joints are from what the joint network saw, with the gradients.
+"""Compiled distances of joints from the joint network's predictions, with gradients.
 
 `joints` are (T, S, 24, 3) [m, camera] at S instants, the last of them the middle of the exposure, the first its opening
 and the last but one its closing; lenses (T, 5) as `hfb.evidence.joint_network.in_units` takes them.
@@ -14,14 +14,14 @@ from hfb.kernels.compile import INLINE, loop_entry
 
 @njit(**INLINE)
 def _in_units(joints, lens, j):
-    """Joint j of (24, 3) as its window shows it."""
+    """Return joint j of (24, 3) in the units of its window."""
     x, y, z, pelvis = np.float64(joints[j, 0]), np.float64(joints[j, 1]), np.float64(joints[j, 2]), joints[0, 2]
     return x / z * lens[0] + lens[2], y / z * lens[1] + lens[3], (z - pelvis) / (pelvis * lens[4])
 
 
 @njit(**INLINE)
 def _pull_units(joints, lens, j, a, b, c, gradient):
-    """Add to the `gradient` (24, 3) of the joints what joint j's units ask for."""
+    """Add to the `gradient` (24, 3) of the joints that by joint j's units."""
     x, y, z, pelvis = np.float64(joints[j, 0]), np.float64(joints[j, 1]), np.float64(joints[j, 2]), joints[0, 2]
     a, b, c = a * lens[0] / z, b * lens[1] / z, c / (pelvis * lens[4])
     gradient[j, 0] += a
@@ -32,7 +32,7 @@ def _pull_units(joints, lens, j, a, b, c, gradient):
 
 @njit(**INLINE)
 def _far(off):
-    """sqrt(1 + off^2) - 1, and its slope."""
+    """Return sqrt(1 + off^2) - 1, and its slope."""
     root = np.sqrt(1.0 + off * off)
     return root - 1.0, off / root
 
@@ -68,7 +68,7 @@ def off_middle(joints, lenses, middle, scale, share, gradient):
 
 @njit(**INLINE)
 def _off_path(joints, lenses, path, scale, sign, weight, gradient):
-    """The loss of the way from opening to closing times the sign; adds its gradient times the weight."""
+    """Return the loss of the path from opening to closing times the sign; add its gradient times the weight."""
     total, closing, count = 0.0, joints.shape[1] - 2, 3.0 * joints.shape[0] * joints.shape[2]
     for t in range(joints.shape[0]):
         for j in range(joints.shape[2]):

@@ -1,4 +1,4 @@
-"""How far a body is from what the joint network saw, as torch operators.
+"""Distances of a body from the joint network's predictions, as torch operators.
 
 The readable formulas that they are tested against are `hfb.evidence.joint_evidence`'s.
 """

@@ -1,13 +1,13 @@
-"""Compiled parts: the image and the matting loss at several scales, and their gradient.
+"""Compiled image and matting losses at several scales, and their gradient.
 
-Both losses are made of *differences*, four numbers a pixel: the three colours of eq. (1) minus those seen, and the
-silhouette minus the matte. A coarse pixel is the mean of the one, two or four that it covers, and so is its difference:
-one pyramid does for both losses. It is one list of pixels, level after level, row after row, each level half the last
-(rounding up); the finest level has an array of its own.
+Both losses are functions of *differences*, four numbers a pixel: the three colours of eq. (1) minus the frame's, and
+the silhouette minus the matte. A coarse pixel is the mean of the one, two or four that it covers, and so is its
+difference: one pyramid serves both losses. It is one list of pixels, level after level, row after row, each level half
+the last (rounding up); the finest level has an array of its own.
 
-Where nothing is drawn the differences are known beforehand. So only a window is looked at, which holds all that is
-drawn and whole pixels of the coarsest level, and what the losses sum up of the rest comes from `seen`: sums of
-(squared differences, mattes) of a picture without anybody, over everything above and left of a corner of pixels.
+Where nothing is drawn the differences are constant. So only a window is computed, which contains all that is drawn and
+whole pixels of the coarsest level. The losses' sums over the rest come from `seen`: sums of (squared differences,
+mattes) of an image without the person, over everything above and left of a corner of pixels.
 
 A `table` of the levels has rows (first pixel in the list, height, width, first corner in `seen`), the finest level
 first, and a last row with the numbers of pixels in the list and of corners.
@@ -36,14 +36,14 @@ EMPTY_PX = 1e-6  # as in `hfb.objective.matting`
 
 @njit(**INLINE)
 def _window_of(window, k):
-    """A window's left, top, right and bottom at level k."""
+    """Return a window's left, top, right and bottom at level k."""
     rest = (1 << k) - 1
     return window[0] >> k, window[1] >> k, (window[2] + rest) >> k, (window[3] + rest) >> k
 
 
 @njit(**INLINE)
 def _share(size, at):
-    """Of a coarse pixel's mean that one row or column of it has."""
+    """Return one row's or column's share of a coarse pixel's mean."""
     return 1.0 if at == size - 1 and size % 2 == 1 else 0.5
 
 
@@ -65,7 +65,7 @@ def _shrink_row(finer, level, height, width, r, left, right, values, first):
 
 @njit(**INLINE)
 def _subtract_row(mean, plate, frame, first, count, difference):
-    """Eq. (1) minus what is seen, of `count` pixels."""
+    """Write eq. (1) minus the frame for `count` pixels."""
     for p in range(first, first + count):
         uncovered = 1 - mean[p, 3]
         value = load_four(mean, 4 * p) + uncovered * load_four(plate, 4 * p) - load_four(frame, 4 * p)
@@ -76,7 +76,7 @@ def _subtract_row(mean, plate, frame, first, count, difference):
 def _sum_row(values, first, count):
     """Return the sums, over `count` pixels, of the colours' squared differences, of the last, and of its positive part.
 
-    Four pixels' are added up before they are widened.
+    Sums of four pixels are formed in the precision of the values first.
     """
     squares, total, positive = four(0.0), four(0.0), four(0.0)
     end = first + count
@@ -96,7 +96,7 @@ def _sum_row(values, first, count):
 
 @njit(**INLINE)
 def _inside(seen, first, width, left, top, right, bottom, which):
-    """A sum of `seen` over the pixels of a window."""
+    """Return a sum of `seen` over the pixels of a window."""
     above, below = first + top * (width + 1), first + bottom * (width + 1)
     upper = seen[above + right, which] - seen[above + left, which]
     return seen[below + right, which] - seen[below + left, which] - upper
@@ -107,8 +107,8 @@ def levels(height, width, scales):
     """Return the table of the levels.
 
     Args:
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
         scales: number of levels.
     """
     table = np.zeros((scales + 1, 4), np.int64)
@@ -127,7 +127,7 @@ def sum_up(plate, frame, table):
     Args:
         plate: (H W, 4), the background's colours and 0.
         frame: (H W, 4), the frame's colours and the matte.
-        table: of the levels, see the module.
+        table: table of the levels, see the module.
     """
     difference, coarse = np.empty(plate.shape, plate.dtype), np.empty((table[-1, 0], 4), plate.dtype)
     seen = np.zeros((table[-1, 3], 2), np.float64)
@@ -159,7 +159,7 @@ def compare(mean, plate, frame, window, table, seen, image_scales, matte_scales,
         plate: (H W, 4), the background's colours and 0.
         frame: (H W, 4), the frame's colours and the matte.
         window: left, top, right, bottom [px] of all that is drawn.
-        table: of the levels, see the module.
+        table: table of the levels, see the module.
         seen: (corners, 2), by `sum_up`.
         image_scales: number of scales of L_I.
         matte_scales: number of scales of L_alpha.
@@ -231,7 +231,7 @@ def gradient_of(difference, coarse, plate, window, table, slopes, by_image, by_m
         coarse: (pixels of the list, 4), differences of the other levels.
         plate: (H W, 4), the background's colours and 0.
         window: left, top, right, bottom [px] of all that is drawn.
-        table: of the levels, see the module.
+        table: table of the levels, see the module.
         slopes: (levels, 3), see `compare`.
         by_image: factor of L_I.
         by_matte: factor of L_alpha.

@@ -1,4 +1,4 @@
-"""What one frame's mean drawing is compared with: the image and the matting loss, and their gradient, by kernels.
+"""Image and matting losses of one frame's mean render, and their gradient, by kernels.
 
 The readable formulas that this is tested against are in `hfb.objective.pyramid`.
 """
@@ -16,12 +16,12 @@ from hfb.kernels.objective import image_kernels as kernels
 from hfb.typing import Array, Float, Int, Tensor
 
 _levels = lru_cache(kernels.levels)
-"""Of a picture's size and a number of scales; not to be changed."""
+"""Table of the levels of an image's size and a number of scales; not to be changed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What the gradient of a drawing's losses is made of; see `kernels_pictures.compare`."""
+    """Values saved for the gradient of a render's losses; see `image_kernels.compare`."""
 
     window: Int[Array, "4"]
     difference: Float[Array, "n 4"]
@@ -30,11 +30,14 @@ class Compared:
 
 
 class Target:
-    """A frame, the plate behind it and its matte, and what of both losses is known before anything is drawn.
+    """A frame, its plate and its matte, with precomputed sums of both losses.
 
     Args:
-        plate: the clean background B. frame: I, in the same light. matte: alpha_in.
-        image_scales, matte_scales: how many scales each loss has, each half the last.
+        plate: the clean background B.
+        frame: I, in the same light.
+        matte: alpha_in.
+        image_scales: number of scales of L_I, each half the last.
+        matte_scales: number of scales of L_alpha, each half the last.
     """
 
     def __init__(
@@ -64,7 +67,7 @@ class Target:
             box: left, top, right and bottom [px] of all that is drawn; elsewhere `mean` is zero.
 
         Raises:
-            ValueError: the picture is not of the frame's size.
+            ValueError: the image is not of the frame's size.
         """
         if mean.shape[:2] != self.size:
             raise ValueError(f"a picture of {mean.shape[:2]} pixels is compared with one of {self.size}")

@@ -1,4 +1,4 @@
-"""Compiled parts: what holds the motion small and the pose near the first body's, with their gradients."""
+"""Compiled regularisers of the motion's size and of the pose's distance from the start, with gradients."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

@@ -1,4 +1,4 @@
-"""Regularisers as torch operators, so that autograd, torch.compile and export see them.
+"""Regularisers as torch operators, for autograd, torch.compile and export.
 
 The readable formulas that they are tested against are in `hfb.objective.regularizers`.
 """

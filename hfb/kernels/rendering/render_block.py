@@ -1,12 +1,12 @@
-"""Compiled entry points: the pictures of a block of bodies as lists of their pixels, and the way back to the vertices.
+"""Compiled entry points: images of a block of bodies as lists of pixels, and gradients by the vertices.
 
-Bodies do not know of each other: every one has the bits that it has alone. Every function works on memory of its own or
-of its caller, releases Python's lock and adds in a fixed order: blocks may be drawn by any number of threads with the
-same bits as the result.
+Bodies are independent: each has the bits that it has alone. Every function uses its own or its caller's memory,
+releases Python's lock and adds in a fixed order: blocks may be drawn by any number of threads with the same bits as the
+result.
 
-A block's *trace* is what the way back needs of its way forth: projected vertices (n, V, 4), outline edges, pixels,
+A block's *trace* holds the values that the backward pass needs: projected vertices (n, V, 4), outline edges, pixels,
 coverage, owners, edges, shares, the last three for every piece of outline that can change a pixel's coverage, the
-pixels' codes (of coloured bodies), and `ends` (n + 1, 3), up to where outline edges, pixels and pieces are each body's.
+pixels' codes (of coloured bodies), and `ends` (n + 1, 3), up to which outline edges, pixels and pieces are each body's.
 A piece's owner and edge are numbers among its body's pixels and outline edges.
 """
 # mypy: ignore-errors
@@ -127,7 +127,7 @@ def _survey(vertices, lens, faces, edge_faces, coloured):
 
 @njit(**JIT)
 def _make_room(projected, boxes, outline, ends):
-    """How many pixels and pieces each body can have at most (n, 2), and one more that is written to and not kept."""
+    """Return the largest possible number of pixels and pieces of each body (n, 2), plus one that is only written to."""
     room = np.empty((projected.shape[0], 2), np.int64)
     for s in range(projected.shape[0]):
         box = boxes[s]
@@ -272,7 +272,7 @@ def add_block(pixels, coverage, ends, colours, scale, pictures):
 
     Args:
         pixels: index of each listed pixel.
-        coverage: of each listed pixel.
+        coverage: coverage of each listed pixel.
         ends: (n + 1, 3), see the module.
         colours: (pixels, 4), premultiplied; empty for silhouettes alone.
         scale: factor of the images.
@@ -316,7 +316,7 @@ def pull_block(
         faces: (F, 3), vertex numbers.
         uv: (F, 3, 2), texture coordinates of the faces' corners.
         texture: (A, A, 4), the 4th channel 1; an empty one leaves codes and colours out.
-        trace: of the block.
+        trace: trace of the block.
         first: number of the first body.
         last: number after the last body.
         of_pictures: (n or 1, H W, C), gradient by the images.

@@ -1,4 +1,4 @@
-"""All bodies of one exposure: every one drawn by compiled kernels, added up in a fixed order, and the way back.
+"""Rendering of all bodies of one exposure: drawn in blocks, added in a fixed order, with gradients.
 
 The result has the same bits for any number of threads; nothing is shared between calls.
 """
@@ -18,15 +18,15 @@ from hfb.typing import Array, Tensor
 TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the sum's order never depends on threads
 
 Block = tuple[Array, ...]
-"""The trace of up to LANES bodies, see `kernels`; of DIB-R's silhouettes of one."""
+"""The trace of up to LANES bodies, see `render_block`; of DIB-R's silhouettes of one."""
 
 Box = tuple[int, int, int, int]
-"""Of a picture: left, top, right and bottom [px], the last two not in it."""
+"""Left, top, right and bottom of a box in an image [px], the last two exclusive."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is the same for all bodies; the fields are as in `hfb.kernels.rendering.render_operators.draw`."""
+    """The arguments common to all bodies; fields as in `hfb.kernels.rendering.render_operators.draw`."""
 
     uv: Array
     faces: Array
@@ -51,7 +51,7 @@ class Setting:
             lens: fx, fy, cx, cy, nearest depth used, width, height.
             soft: DIB-R's constants; zeros for exact coverage.
             mean: average the images.
-            threads: to draw with.
+            threads: number of threads.
         """
         faces, edge_vertices, edge_faces = (
             table.numpy().view(np.uint16 if table.dtype == torch.int16 else np.uint32) for table in topology
@@ -133,8 +133,8 @@ def bodies_at_once(count: int, threads: int, soft: bool) -> int:
     """Return the number of bodies in a block: up to LANES, but work for every thread. Results do not depend on it.
 
     Args:
-        count: of all bodies.
-        threads: to draw with.
+        count: number of all bodies.
+        threads: number of threads.
         soft: whether silhouettes are DIB-R's.
     """
     return 1 if soft else min(LANES, max(-(-count // threads), 1))
@@ -149,7 +149,7 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
         setting: camera, mesh and options.
     """
     count, lens = len(vertices), setting.lens
-    # Four channels suit the processor, and the fourth, ones drawn like the others, is the silhouette itself.
+    # Four channels suit the CPU, and the fourth, ones drawn like the others, is the silhouette itself.
     texels = np.empty((*texture.shape[:2], 4), vertices.dtype)
     kernels.widen(texture, texels)
     at_once = bodies_at_once(count, setting.threads, setting.is_soft)
@@ -170,7 +170,7 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
 
 
 def _around(boxes: Sequence[Sequence[int]]) -> Box:
-    """What holds all boxes, whose right is left of their left where nothing is drawn; then of no size."""
+    """Return the box around all boxes, empty where nothing is drawn."""
     left, top, right, bottom = zip(*boxes, strict=True) if boxes else [(0,)] * 4
     return min(left), min(top), max(*right, min(left)), max(*bottom, min(top))
 
@@ -230,7 +230,7 @@ def pull_bodies(
         )
         for sums in tasks:
             kernels.move_texels(sums, total)
-    else:  # the same sums in the same order, in one place that stays in the processor's cache
+    else:  # the same sums in the same order, in one place that stays in the CPU's cache
         closes[[limit - 1 for limit in limits[1:]]] = of_texture
         pull(0, count, np.zeros(size, texels.dtype))
     return gradient, total

@@ -1,6 +1,6 @@
 """Compiled entry points for DIB-R's soft silhouette (`reference_dibr` has the formulas and their source).
 
-A body's trace has the same parts as in `kernels`, with other contents: the outline is the nearest side of a
+A body's trace has the same parts as in `render_block`, with other contents: the outline is the nearest side of a
 face (from, to, face) for each pixel of the halo, which gives the halo its colour; the overlaps are the halo's
 pixels paired with the faces that reach them: owner, side (3 face + corner), and the derivative of R_S by the
 squared distance.
@@ -24,7 +24,7 @@ TIE = 1e-9
 
 @njit(**INLINE)
 def _squared(px, py, x0, y0, dx, dy, scale):
-    """Squared distance of a point from a side that starts at (x0, y0); scale is 1 / squared length."""
+    """Return squared distance of a point from a side that starts at (x0, y0); scale is 1 / squared length."""
     rx, ry = px - x0, py - y0
     t = min(max((rx * dx + ry * dy) * scale, 0.0), 1.0)
     rx, ry = rx - t * dx, ry - t * dy
@@ -56,7 +56,7 @@ def _sift(distance, side, slot, k, value, which):
 
 @njit(**INLINE)
 def _keep(distance, side, filled, slot, value, which):
-    """Remember a face if it is among the nearest: a list until that is full, from then on a heap."""
+    """Store a face if it is among the nearest: a list until that is full, from then on a heap."""
     n = filled[slot]
     if n < distance.shape[1]:
         distance[slot, n], side[slot, n] = value, which
@@ -70,7 +70,7 @@ def _keep(distance, side, filled, slot, value, which):
 
 @njit(**LOOP)
 def _count_open(seen, open_before):
-    """Running count, along each row, of the pixels that show no body; returns their number."""
+    """Count, along each row, the pixels that show no body; return their number."""
     total = 0
     for r in range(seen.shape[0]):
         open_before[r, 0] = 0
@@ -139,7 +139,7 @@ def _nearest_face(distance, side, slot, n):
 
 @njit(**LOOP)
 def _combine(distance, slot, n, inverse_delta, missed, slopes):
-    """R_S of one halo pixel; `slopes` receives its derivatives by the squared distances (products without one)."""
+    """Return R_S of one halo pixel; `slopes` gets its derivatives by the squared distances (products without one)."""
     before = 1.0
     for q in range(n):
         missed[q] = 1.0 - np.exp(-inverse_delta * distance[slot, q])
@@ -200,7 +200,7 @@ def _list_pixels(
 
 @njit(**JIT)
 def _trace(projected, faces, box, width, seen, mask, soft):
-    """(outline, pixels, coverage, owners, sides, weights, codes) of one body's soft silhouette."""
+    """Return (outline, pixels, coverage, owners, sides, weights, codes) of one body's soft silhouette."""
     height, breadth = seen.shape
     open_before = np.empty((height, breadth + 1), np.int32)
     n_open = _count_open(seen, open_before)
@@ -324,7 +324,7 @@ def cover_body_softly_gradient(vertices, lens, faces, trace, picture_gradient, s
         vertices: (V, 3) [m], camera coordinates.
         lens: fx, fy, cx, cy, nearest depth used, width, height.
         faces: (F, 3), vertex numbers.
-        trace: of the body.
+        trace: trace of the body.
         picture_gradient: (H W, 1).
         scale: factor of the image.
         gradient: (V, 3), filled.
@@ -350,8 +350,8 @@ def draw_body_softly_gradient(
         faces: (F, 3), vertex numbers.
         uv: (F, 3, 2), texture coordinates of the faces' corners.
         texture: (A, A, 4), the 4th channel 1.
-        trace: of the body.
-        codes: of the pixels.
+        trace: trace of the body.
+        codes: codes of the pixels.
         picture_gradient: (H W, 4).
         scale: factor of the image.
         gradient: (V, 3), filled.

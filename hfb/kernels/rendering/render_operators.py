@@ -1,8 +1,8 @@
-"""The fast rasteriser in torch: operators that autograd, torch.compile and export see, and a short cut past them.
+"""The fast rasteriser in torch: operators for autograd, torch.compile and export, and a faster path without them.
 
-`draw` draws all sub-frames and averages them on the way, one body at a time in a fixed order: the result has the
-same bits for any number of threads. `draw_gradient` is its way back. Both hand a body's trace on as tensors; where
-nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
+`draw` renders all sub-frames and averages them in the same pass, one body at a time in a fixed order: the result has
+the same bits for any number of threads. `draw_gradient` is its backward pass. Both pass a body's trace as tensors;
+where nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from hfb.kernels.rendering.render_blocks import Block, Box, Setting, bodies_at_once, draw_bodies, pull_bodies
 from hfb.typing import Array, Tensor
 
-_PARTS = 9  # tensors kept of each block of bodies: its trace, see `kernels`
+_PARTS = 9  # tensors kept of each block of bodies: its trace, see `render_block`
 
 
 def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
@@ -30,7 +30,7 @@ def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
 
 
 class _Pictures(torch.autograd.Function):
-    """`draw` with its way back, the bodies' traces kept as they are."""
+    """`draw` with its backward pass, the bodies' traces kept as they are."""
 
     @staticmethod
     def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
@@ -51,7 +51,7 @@ class ImageLoss(Protocol):
 
         Args:
             mean: (H, W, 4), zero outside of the box; may be overwritten.
-            box: of all that is drawn.
+            box: box of all that is drawn.
         """
         ...
 
@@ -74,7 +74,7 @@ def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, loss: ImageLo
         vertices: (S, V, 3) [m], camera coordinates.
         texture: (A, A, 3), linear light; with A = 0 only silhouettes are drawn.
         setting: camera, mesh and options.
-        loss: of the mean image.
+        loss: loss of the mean image.
     """
     return _RenderedLosses.apply(vertices, texture, setting, loss)
 
@@ -97,15 +97,15 @@ class _RenderedLosses(torch.autograd.Function):
 
 
 def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tuple[Array, Box]:
-    """Pictures, and the box that holds all that is drawn; keeps what `_input_gradients` needs."""
+    """Return images and the box around all that is drawn; save values for `_input_gradients`."""
     drawn, texels, blocks, box = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
-    ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
+    ctx.save_for_backward(vertices, texture)  # detects changes in the meantime
     ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
     return drawn, box
 
 
 def _input_gradients(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]:
-    """Gradients of the vertices and of the texture, those that are wanted."""
+    """Return the wanted gradients by the vertices and by the texture."""
     vertices, texture = ctx.saved_tensors
     wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
     of_vertices, of_texture = pull_bodies(
@@ -135,12 +135,12 @@ def draw(
             else int32.
         lens: fx, fy, cx, cy, nearest depth used, width, height.
         soft: DIB-R's 1 / delta [1/px^2], reach [px] and number of faces; zeros for exact coverage.
-        mean: average the pictures.
-        threads: to draw with.
+        mean: average the images.
+        threads: number of threads.
 
     Returns:
-        pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
-        and for each block of bodies in turn the parts of its trace (see `kernels`).
+        images (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
+        and for each block of bodies in turn the parts of its trace (see `render_block`).
     """
     setting = Setting.of(uv, topology, lens, soft, mean, threads)
     drawn, texels, blocks, _ = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
@@ -208,7 +208,7 @@ def draw_gradient(
         kept: saved by `draw`.
         of_vertices: compute the first one, else it is empty.
         of_texture: compute the second one, else it is empty.
-        threads: to draw with.
+        threads: number of threads.
     """
     texels, *parts = (part.detach().numpy() for part in kept)
     blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]

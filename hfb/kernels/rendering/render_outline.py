@@ -1,10 +1,10 @@
-"""Compiled parts: the exact share of each pixel that lies inside the outline of the front faces.
+"""Compiled coverage: the exact share of each pixel inside the outline of the front faces.
 
 The front faces of a body form an oriented patchwork; the edges where it ends are its outline. The number of
 front layers over a point is the winding number of the projected outline about it (Stokes), and the mean of
 that number over a pixel is a sum of trapezoids, one per piece of outline in the pixel, carried along the row
 (signed-area accumulation, the way fonts are rasterised). Where one strand of outline crosses a pixel, that mean
-is the covered share; where layers may overlap, `kernels_overlap` finds the share. Cost: the outline's length,
+is the covered share; where layers may overlap, `render_overlap` finds the share. Cost: the outline's length,
 whatever the number of faces.
 """
 # mypy: ignore-errors
@@ -30,7 +30,7 @@ GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = (1, 2, 4, 8,
 def _walk(x0, y0, dx, dy, ta, tb, box, beside, n, columns, rows, ends):
     """Append the pixels that the stretch [ta, tb] of an edge crosses, with the parameter at which it leaves each.
 
-    beside: the stretch lies left of the box; its columns are not counted and written as -1.
+    With `beside` the stretch is left of the box; its columns are not counted and written as -1.
     """
     r = min(max(int(np.floor(y0 + ta * dy)), box[1]), box[3] - 1)
     r_end = min(max(int(np.floor(y0 + tb * dy)), box[1]), box[3] - 1)
@@ -77,8 +77,8 @@ def cut_edge(x0, y0, dx, dy, box, columns, rows, ends):
         dx: end minus start [px].
         dy: end minus start [px].
         box: left, top, right, bottom [px] of the region.
-        columns: of the pieces, filled.
-        rows: of the pieces, filled.
+        columns: columns of the pieces, filled.
+        rows: rows of the pieces, filled.
         ends: parameter at which each piece ends, filled.
 
     Returns:
@@ -165,7 +165,7 @@ def count_pieces(outline, projected, box):
 
 @njit(**INLINE)
 def _put_piece(pieces, n, k, row, column, breadth, t, t_end, mark, left, right, near):
-    """Write piece n: of edge k from t to t_end, in a pixel of the region; `cut_outline` tells what the rest is."""
+    """Write piece n: of edge k from t to t_end, in a pixel of the region; for the rest see `cut_outline`."""
     pixel, edge, span, places, marks, amounts = pieces
     pixel[n], edge[n], places[n] = row * breadth + column, k, row
     span[n, 0], span[n, 1], marks[n] = t, t_end, mark
@@ -198,9 +198,9 @@ def _cut_far(k, x0, y0, dx, dy, box, columns, rows, ends, pieces, n):
 def _cut_near(first, at, n_edges, box, found, pieces, n):
     """Append the pieces of up to LANES edges, a step to the next pixel of all of them at a time; returns their number.
 
-    What edges do differs from one to the next, and no processor predicts it: here nothing is asked that decides what
-    comes next. first: the batch's first edge, at: the first of these in the batch. Edges that the box cuts are left out
-    and have a zero in row WITHIN, others a one.
+    It is free of branches, since no processor can predict the next edge's course. `first` is the batch's first edge,
+    `at` the first of these in the batch. Edges that the box cuts are left out and have a zero in row WITHIN, others a
+    one.
     """
     x0, y0 = load_lanes(found, X0 + at), load_lanes(found, Y0 + at)
     dx, dy = load_lanes(found, DX + at), load_lanes(found, DY + at)
@@ -364,7 +364,7 @@ def collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, 
         first: per region row the first column touched.
         last: per region row the last column touched.
         box: left, top, right, bottom [px] of the region.
-        width: of the image [px].
+        width: width of the image [px].
         seen: nearest face or edge at each pixel, packed; an empty one leaves the codes out.
         mask: bits of an index, by `mask_for`.
         pixels: index of each pixel, filled.
@@ -425,12 +425,12 @@ def weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, w
         piece_pixel: region pixel of each piece.
         piece_edge: edge of each piece.
         piece_span: parameters on the edge.
-        place: of the region's pixels in the lists, see `collect`.
+        place: place of the region's pixels in the lists, see `collect`.
         unsure: places of pixels in which layers may overlap.
-        coverage: of each listed pixel.
+        coverage: coverage of each listed pixel.
         weights: shares of the pieces in unsure pixels.
         owner: place of each piece's pixel, filled.
-        edge: of each piece, filled.
+        edge: edge of each piece, filled.
         shares: derivative of coverage by the edge's two ends (integrals of 1 - t and t along the piece), filled.
     """
     n = 0

@@ -1,10 +1,10 @@
-"""Compiled parts: the exact covered share of the few pixels in which layers of the body may overlap.
+"""Compiled coverage of the few pixels in which layers of the body may overlap.
 
-An arm's outline before the torso's: the mean winding counts their common area twice. There the pixel is cut
-into slabs at every height where a piece of outline begins, ends or crosses another; within a slab the order of
-the pieces from left to right does not change, so the length covered at its middle times its height is its
-area. Walking from left to right also tells which pieces separate body from background: only these are seen to
-move, and their weights are kept for the way back.
+Where an arm's outline is in front of the torso's, the mean winding counts their common area twice. There the pixel is
+cut into slabs at every height where a piece of outline begins, ends or crosses another; within a slab the order of the
+pieces from left to right does not change, so the length covered at its middle times its height is its area. The order
+from left to right also determines which pieces separate body from background: only these have gradients, and their
+weights are kept for the backward pass.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -34,7 +34,7 @@ def chain_pieces(piece_pixel, place, newest, older, counts):
 
     Args:
         piece_pixel: region pixel of each piece.
-        place: of the region's pixels, see `render_outline.collect`.
+        place: place of the region's pixels, see `render_outline.collect`.
         newest: newest piece of each unsure pixel, updated.
         older: next older piece in each piece's pixel, filled.
         counts: pieces in each unsure pixel, updated.
@@ -206,13 +206,13 @@ def resolve(
         counts: pieces in each unsure pixel.
         pixels: index of each listed pixel.
         windings: mean winding of each listed pixel, updated.
-        width: of the image [px].
+        width: width of the image [px].
         outline: (n, 3), edges (from, to, front face).
         projected: (V, 4), x, y [px], 1/z [1/m].
         older: next older piece in each piece's pixel.
-        edge: of each piece.
+        edge: edge of each piece.
         span: parameters of each piece on its edge.
-        weights: of each piece, filled.
+        weights: weights of each piece, filled.
         member: work space for one pixel's pieces.
         part: work space for one pixel's pieces.
         heights: work space.

@@ -58,7 +58,7 @@ def pack(value, index, mask):
 
     Args:
         value: positive number.
-        index: of a face or an edge.
+        index: number of a face or an edge.
         mask: bits of an index, by `mask_for`.
     """
     return (np.float64(value).view(np.int64) & ~mask) | index
@@ -78,7 +78,7 @@ def code_of(seen, mask):
 
 @njit(**INLINE)
 def _bound(left, top, right, bottom, lens, box):
-    """Fill `box` with bounds cut to the picture."""
+    """Fill `box` with bounds cut to the image."""
     width, height = lens[5], lens[6]
     if left > right:
         box[0], box[1], box[2], box[3] = 0, 0, 0, 0
@@ -237,7 +237,7 @@ def trace_outline(sides, edge_vertices, edge_faces, outline):
     """Fill rows (from, to, front face), directed as the front face traverses the edge.
 
     Args:
-        sides: of one body, by `find_outline`.
+        sides: sides of one body, by `find_outline`.
         edge_vertices: (E, 2), vertex numbers.
         edge_faces: (E, 2), faces on both sides.
         outline: (n, 3), filled.
@@ -311,7 +311,7 @@ def fill_depth(projected, faces, candidates, box, mask, found, tiles):
             x0, y0, z0, z1, z2 = found[X0 + n], found[Y0 + n], found[Z0 + n], found[Z1 + n], found[Z2 + n]
             b1_x, b1_y, b2_x, b2_y = found[B1_X + n], found[B1_Y + n], found[B2_X + n], found[B2_Y + n]
             f, c_from, c_to = np.int64(batch[n]), int(found[C_FROM + n]), int(found[C_TO + n])
-            # What stands out of a face's bounds is outside of it; what stands out of the box is nobody's.
+            # Pixels beyond a face's bounds are outside of it; those beyond the box are not used.
             for r in range(int(found[R_FROM + n]), int(found[R_TO + n]) + 1, TILE_ROWS):
                 py = below + (r + 0.5 - y0)
                 for c in range(c_from, c_to + 1, TILE_COLUMNS):

@@ -1,15 +1,15 @@
-"""Compiled parts: the point of the body that a pixel shows, its colour there, and the way back, in batches of pixels.
+"""Compiled shading: the visible point of each pixel, its colour, and gradients, in batches of pixels.
 
 The visible point of a pixel is a face's point at the pixel's centre or, where the centre just misses the body but the
-pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim carries the body's colour,
-and the colour is continuous as the outline passes the centre.
+pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim has the body's colour, and
+the colour is continuous as the outline passes the centre.
 
-A pixel's way from its face through the texture is one long chain of operations, each waiting for the one before. A
-batch goes through it in steps, one loop each: memory is gathered, arithmetic runs along rows (many pixels at once in
-one register), texels are mixed, and what is asked of the corners is scattered. Rows lie in one array, BATCH apart: so
-the compiler sees that they never overlap. They have the texture's precision: what is large, positions, is taken from
-the first corner's before it is rounded. Pixels of faces and pixels of the rim have batches of their own, and what goes
-into which is listed without branches: where a body ends in a row is nothing that a processor could predict.
+The computation of a pixel's colour is one long chain of operations, each waiting for the one before. So pixels are
+processed in batches, step by step, one loop each: memory is gathered, arithmetic runs along rows (many pixels at once
+in one register), texels are mixed, and gradients are scattered to the corners. Rows are in one array, BATCH apart, so
+that the compiler knows that they do not overlap. They have the texture's precision; positions, which are large, are
+taken relative to the first corner before they are rounded. Pixels of faces and pixels of the rim have separate batches,
+and are sorted into them without branches, which no processor could predict.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -43,12 +43,12 @@ B1, B2, B1_X, B1_Y, B2_X, B2_Y = (BATCH * row for row in range(16, 22))
 OFF_X, OFF_Y = B2_X, B2_Y
 # 1 / (sum of weights / z), texture coordinates, shares of the next texel, weights of the four texels.
 SCALE, U, V, RIGHT, DOWN, W00, W01, W10, W11 = (BATCH * row for row in range(22, 31))
-# Way back: the picture's gradient times each of the four texels; then, in rows that have done their part, what is asked
-# of the corners.
+# Backward: the image's gradient times each of the four texels; then, in rows that are free by then, the gradients
+# by the corners.
 G00, G01, G10, G11, D0, D1, D2 = (BATCH * row for row in range(31, 38))
 OF_ALPHA, OF_B1, OF_B2, PULL_X, PULL_Y = G00, G01, G10, G11, SCALE
 FOUND = 38 * BATCH
-# Rows of a batch's places (int32): the pixel's place in its list and in the picture, corners in (V, 4), first texel.
+# Rows of a batch's places (int32): the pixel's place in its list and in the image, corners in (V, 4), first texel.
 SLOT, AT, CORNER_0, CORNER_1, CORNER_2, TEXEL = (BATCH * row for row in range(6))
 PLACES = 6 * BATCH
 TINY_PX2 = 1e-30  # twice the area of a face that is a line
@@ -56,7 +56,7 @@ TINY_PX2 = 1e-30  # twice the area of a face that is a line
 
 @njit(**INLINE)
 def _centre(pixel, width):
-    """Position [px] of a pixel's centre."""
+    """Return position [px] of a pixel's centre."""
     row = np.uint32(pixel) // np.uint32(width)
     return np.float64(np.uint32(pixel) - row * np.uint32(width)) + 0.5, np.float64(row) + 0.5
 
@@ -95,7 +95,7 @@ def _gather_edges(n, width, pixels, codes, coverage, scale, outline, projected, 
 
 @njit(**LOOP)
 def _untangle(n, near, table):
-    """What was gathered as rows."""
+    """Transpose the gathered numbers to rows."""
     for q in range(0, n, 8):
         for block in range(0, GATHERED, 4 * BATCH):
             untangle(table, block + q, near, block + 4 * q)
@@ -103,7 +103,7 @@ def _untangle(n, near, table):
 
 @njit(**LOOP)
 def _weigh_corners(n, table):
-    """Weights of a face's corners at the pixel's centre, which lies in it, and their slopes."""
+    """Compute weights of a face's corners at the pixel's centre, which is inside it, and their slopes."""
     kind = table.dtype.type
     zero, one, tiny = kind(0.0), kind(1.0), kind(TINY_PX2)
     for m in range(n):
@@ -141,7 +141,7 @@ def _weigh_ends(n, table):
 
 @njit(**LOOP)
 def _find_texels(n, size, table, places):
-    """From the corners' weights to the texels: perspective-correct texture coordinates and bilinear weights."""
+    """Compute, from the corners' weights, perspective-correct texture coordinates and bilinear weights."""
     kind = table.dtype.type
     zero, half, one, across = kind(0.0), kind(0.5), kind(1.0), kind(size)
     last, most = across - one, np.int32(max(size, 2) - 2)
@@ -200,8 +200,8 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
     Args:
         pixels: index of each listed pixel.
         codes: what each pixel shows.
-        coverage: of each listed pixel.
-        width: of the image [px].
+        coverage: coverage of each listed pixel.
+        width: width of the image [px].
         outline: (n, 3), edges (from, to, front face).
         projected: (V, 4), x, y [px], 1/z [1/m], 0.
         faces: (F, 3), vertex numbers.
@@ -238,7 +238,7 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
 
 @njit(**LOOP)
 def _ask_texels(n, texture, picture_gradient, table, places, texture_gradient):
-    """The picture's gradient times each of the four texels; adds the texture's own gradient where it is wanted."""
+    """Multiply the image's gradient with each of the four texels; add the texture's own gradient where it is wanted."""
     size = texture.shape[0]
     right = 4 * min(size - 1, 1)
     down = right * size
@@ -296,7 +296,7 @@ def _ask_corners(n, size, table):
 
 @njit(**LOOP)
 def _pull_corners(n, table, places, gradient):
-    """Add what each pixel asks of its face's corners."""
+    """Add each pixel's gradient by its face's corners."""
     for m in range(n):
         first, second = table[OF_B1 + m], table[OF_B2 + m]
         table[PULL_X + m] = -(first * table[B1_X + m] + second * table[B2_X + m])
@@ -312,7 +312,7 @@ def _pull_corners(n, table, places, gradient):
 
 @njit(**LOOP)
 def _pull_ends(n, table, places, gradient):
-    """Add what each pixel asks of the two ends of its edge: t = (p - start).d / d.d, its derivatives at fixed p."""
+    """Add each pixel's gradient by the two ends of its edge: t = (p - start).d / d.d, its derivatives at fixed p."""
     for m in range(n):
         t, pull = table[B1 + m], table[OF_B1 + m]
         x, y, off_x, off_y = table[B1_X + m], table[B1_Y + m], table[OFF_X + m], table[OFF_Y + m]
@@ -327,7 +327,7 @@ def _pull_ends(n, table, places, gradient):
 
 @njit(**INLINE)
 def _ask(n, texture, picture_gradient, scale, table, places, of_coverage, texture_gradient):
-    """The way back from the pixels to the weights of their corners; fills the pull on their coverage."""
+    """Compute the gradients from the pixels to the weights of their corners; fill those by coverage."""
     _find_texels(n, texture.shape[0], table, places)
     _ask_texels(n, texture, picture_gradient, table, places, texture_gradient)
     _ask_corners(n, texture.shape[0], table)
@@ -389,14 +389,14 @@ def shade_gradient(
     An empty `on_screen` or `texture_gradient` is skipped.
 
     Args:
-        width: of the image [px].
+        width: width of the image [px].
         faces: (F, 3), vertex numbers.
         uv: (F, 3, 2), texture coordinates of the faces' corners.
         texture: (A, A, 4), the 4th channel 1.
         projected: (V, 4), x, y [px], 1/z [1/m], 0.
         outline: (n, 3), edges (from, to, front face).
         pixels: index of each listed pixel.
-        coverage: of each listed pixel.
+        coverage: coverage of each listed pixel.
         codes: what each pixel shows.
         picture_gradient: (H W, 4), gradient by the image.
         scale: factor of the image.

@@ -1,4 +1,4 @@
-"""Compiled parts: where on the texture a point of a face lies."""
+"""Compiled texture coordinates of a point of a face."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

@@ -1,4 +1,4 @@
-"""Compiled entry points about texels: which face's chart covers them, which were seen."""
+"""Compiled entry points about texels: the face that covers each, and the visible ones."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

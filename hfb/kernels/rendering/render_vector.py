@@ -1,4 +1,4 @@
-"""Compiled parts: four channels of a picture or a texture at a time, in one register.
+"""SIMD operations on four channels of an image or a texture.
 
 Positions as in `hfb.kernels.simd`.
 """
@@ -13,11 +13,11 @@ from hfb.kernels.simd import LANES, address, fma, load, positions, shuffle, spla
 
 _LANES = range(4)
 ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
-BATCH = 64  # columns of the tables of `kernels_shading`
+BATCH = 64  # columns of the tables of `render_shading`
 
 
 def _convert(context, builder, value, target):
-    """A vector of real numbers in another type."""
+    """Return a vector of real numbers in another type."""
     wide = context.get_abi_sizeof(value.type.element) > context.get_abi_sizeof(target)
     kind = ir.VectorType(target, value.type.count)
     return value if value.type == kind else (builder.fptrunc if wide else builder.fpext)(value, kind)
@@ -191,11 +191,11 @@ def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alph
         i: position of the first corner in `projected`.
         j: position of the second corner.
         k: position of the third corner.
-        pixel_x: of the pixel [px].
-        pixel_y: of the pixel [px].
-        alpha: of the pixel.
-        u: of the second corner relative to the first.
-        v: of the third corner relative to the first.
+        pixel_x: x of the pixel [px].
+        pixel_y: y of the pixel [px].
+        alpha: alpha of the pixel.
+        u: u of the second corner relative to the first.
+        v: v of the third corner relative to the first.
     """
     signature = types.void(table, to, projected, i, j, k, pixel_x, pixel_y, alpha, u, v)
 

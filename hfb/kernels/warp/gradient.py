@@ -1,4 +1,4 @@
-"""Warp kernels: from the pull on what pixels show to the gradient of the vertices.
+"""Warp kernels: gradients by the vertices from those by the pixels.
 
 Every sum belongs to one thread, which adds in a fixed order: a face over the pixels that show it, an outline edge over
 its pieces, a vertex over its faces and edges. No two threads write to one place.
@@ -87,9 +87,9 @@ def rim_pull(centre: wp.vec2d, start: wp.vec3d, end: wp.vec3d, by_uv: wp.float64
     """Return gradients by an edge's ends, through its point closest to a pixel's centre.
 
     Args:
-        centre: of the pixel [px].
-        start: of the edge, x, y [px], 1/z.
-        end: of the edge, likewise.
+        centre: centre of the pixel [px].
+        start: start of the edge, x, y [px], 1/z.
+        end: end of the edge, likewise.
         by_uv: gradient by the share of the end in the texture coordinates, (slope . (uv_end - uv_start)).
     """
     x, y = end[0] - start[0], end[1] - start[1]
@@ -136,7 +136,7 @@ def pull_edges(
         uv: (F, 3), texture coordinates of the faces' corners.
         begins: number of each edge's first piece.
         place: row, column and edge of each piece.
-        shares: of each piece, derivative of coverage by the edge's ends.
+        shares: shares of each piece, derivative of coverage by the edge's ends.
         codes: (B, H, W), what each pixel shows.
         pulls: (B, H, W), gradient by each pixel's coverage, u and v.
         on_ends: (B, E, 2), gradient, filled.
@@ -196,9 +196,9 @@ def gather(
         projected: (B, V), x, y [px], 1/z [1/m].
         lenses: fx, fy, cx, cy of every image.
         subframes: bodies per image.
-        corner_begins: where each vertex's corners begin.
+        corner_begins: position of each vertex's first corner.
         corners: numbers 3 f + k of each vertex's corners.
-        end_begins: where each vertex's ends begin.
+        end_begins: position of each vertex's first end.
         ends: numbers 2 e + k of each vertex's ends.
         on_corners: (B, F, 3), by `pull_faces`.
         on_ends: (B, E, 2), by `pull_edges`.

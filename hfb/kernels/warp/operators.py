@@ -1,7 +1,7 @@
 """The Warp kernels as torch operators: one set for CUDA devices and, for tests, for Warp's CPU device.
 
-`draw_by_warp` draws any number of bodies at once and averages runs of them, `draw_by_warp_gradient` is its way back.
-Tensors are handed over where they lie, on the caller's stream. Every result has the same bits on every run.
+`draw_by_warp` draws any number of bodies at once and averages runs of them; `draw_by_warp_gradient` is its backward.
+Tensors are passed without copies, on the caller's stream. Every result has the same bits on every run.
 """
 
 import threading
@@ -36,17 +36,17 @@ def _prepare(tensor: Tensor) -> AbstractContextManager:
 
 
 def _array(tensor: Tensor, dtype: type | None = None) -> object:
-    """A tensor as Warp's kernels take it: the same memory."""
+    """Return a tensor as an array of Warp, in the same memory."""
     return wp.from_torch(tensor.detach(), dtype, requires_grad=False)
 
 
 def _points(tensor: Tensor) -> object:
-    """Rows of three as vectors."""
+    """Return rows of three as vectors."""
     return _array(tensor, wp.vec3d)
 
 
 def _mask(topology: Sequence[Tensor]) -> object:
-    """Bits that hold any index of a face or an edge."""
+    """Return a mask of the bits that hold any index of a face or an edge."""
     return wp.int64((1 << (max(len(topology[0]), len(topology[1])) - 1).bit_length()) - 1)
 
 
@@ -69,16 +69,16 @@ def draw_by_warp(
 
     Args:
         vertices: (B, V, 3) [m].
-        textures: (G, A, A, 3), linear RGB, each of a run of pictures; with A = 0 only silhouettes are drawn.
+        textures: (G, A, A, 3), linear RGB, each of a run of images; with A = 0 only silhouettes are drawn.
         uv: (F, 3, 2) float64, of the faces' corners.
         topology: int32 tables faces, edge_vertices, edge_faces, and where each vertex's corners begin, the corners,
             where its edges' ends begin, the ends (see `gather`).
-        lenses: (P, 4) float64, fx, fy, cx, cy [px] of every picture; B is a multiple of P.
+        lenses: (P, 4) float64, fx, fy, cx, cy [px] of every image; B is a multiple of P.
         size: height, width.
         near: nearest depth used [m].
 
     Returns:
-        pictures (P, H, W, 4), or (P, H, W, 1) of silhouettes; projected vertices, front faces,
+        images (P, H, W, 4), or (P, H, W, 1) of silhouettes; projected vertices, front faces,
         first piece of each edge, places and shares of the pieces, coverage and codes of the pixels.
     """
     height, width = size
@@ -103,7 +103,7 @@ def draw_by_warp(
         outline = _points(projected), _array(front), edge_vertices, edge_faces
         _launch(outlines.count_pieces, counts.shape, vertices, *outline, height, width, _array(counts))
         begins = torch.nn.functional.pad(counts.flatten().cumsum(0, dtype=torch.int32), (1, 0))
-        pieces = int(begins[-1])  # the one place where the processor waits for the device
+        pieces = int(begins[-1])  # the only place where the CPU waits for the device
         winding, newest = whole(bodies, height, width + 1, kind=torch.int64), whole(*shape) - 1
         older, place, span, line = whole(pieces), whole(pieces, 3), real(pieces, 2), real(pieces, 4)
         chains = _array(older), _array(place, wp.vec3i), _array(span, wp.vec2d), _array(line, wp.vec4d)
@@ -182,7 +182,7 @@ def draw_by_warp_gradient(
     bodies, coloured, given = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
     subframes = bodies // len(lenses)
     groups = given.unflatten(0, (len(textures), -1)).flatten(1).abs().amax(1).double().clamp_min(1e-300)
-    steps = 2.0**_EXACT / max(alpha.numel() // len(textures), 1) / groups  # of each texture: it knows of no other
+    steps = 2.0**_EXACT / max(alpha.numel() // len(textures), 1) / groups  # of each texture alone
     total = vertices.new_zeros(textures.shape if of_textures else (1, 0, 0, 3), dtype=torch.int64)
     pulls = vertices.new_empty(*alpha.shape, 3, dtype=torch.float64)
     with _prepare(vertices):

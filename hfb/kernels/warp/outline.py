@@ -1,6 +1,6 @@
 """Warp kernels: the exact covered share of each pixel, from the outline of the front faces.
 
-As in `kernels_outline`: an edge is cut at the pixel borders, its pieces add signed areas to their pixels, and running
+As in `render_outline`: an edge is cut at the pixel borders, its pieces add signed areas to their pixels, and running
 sums along the rows are the mean winding number. One thread per edge of every body; areas are added as whole multiples
 of UNIT, so the order of the threads does not matter. The pieces of a pixel are chained and handled by the pixel's own
 thread, in the order of their numbers.
@@ -42,8 +42,8 @@ def count_pieces(
         front: (B, F), faces that look at the camera.
         edge_vertices: (E, 2), vertex numbers.
         edge_faces: (E, 2), faces on both sides.
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
         counts: (B, E), filled.
     """
     b, e = wp.tid()
@@ -96,8 +96,8 @@ def lay_down(
         t_to: parameter at which it ends.
         b: number of the body.
         e: number of the edge among all bodies'.
-        row: of its pixel.
-        column: of its pixel; -1 where it is left of the image.
+        row: row of its pixel.
+        column: column of its pixel; -1 where it is left of the image.
         n: number of the piece.
         winding: (B, H, W + 1), in UNITs, added to.
         newest: (B, H, W), newest piece of each pixel, -1 for none.
@@ -134,7 +134,7 @@ def next_border(cell: wp.int32, step: wp.int32, steps: wp.int32, origin: wp.floa
         cell: row or column.
         step: 1 or -1.
         steps: cells left to cross.
-        origin: of the edge along the axis [px].
+        origin: origin of the edge along the axis [px].
         along: extent of the edge along the axis [px].
     """
     t = NEVER
@@ -152,7 +152,7 @@ def cell_at(position: wp.float64, size: wp.int32) -> wp.int32:
 
     Args:
         position: [px].
-        size: of the image [px].
+        size: number of the image's rows or columns.
     """
     return wp.int32(wp.clamp(wp.floor(position), ZERO, wp.float64(size - 1)))
 
@@ -375,8 +375,8 @@ def cover(
         mask: bits of an index.
         alpha: (B, H, W), filled.
         codes: (B, H, W), filled: a face f as f, the outline edge e closest to the centre as -1 - e.
-        shares: of each piece that can change its pixel's coverage, derivative by the edge's two ends (integrals of 1 -
-            t and t along the piece), zeros before, filled.
+        shares: shares of each piece that can change its pixel's coverage, derivative by the edge's two ends (integrals
+            of 1 - t and t along the piece), zeros before, filled.
         base: (B, H, W), filled: NONE, or the winding number of the top left corner where layers may overlap.
     """
     b, row, column = wp.tid()
@@ -444,7 +444,7 @@ def part(
         base: (B, H, W), winding number of the top left corner where layers may overlap, else NONE.
         edges: number of one body's edges.
         shares: as of `cover`, filled.
-        areas: of each piece, filled.
+        areas: areas of each piece, filled.
     """
     piece = wp.tid()
     at = place[piece]
@@ -474,8 +474,8 @@ def join(
         older: next older piece in each piece's pixel.
         line: start and end of each piece in its pixel.
         base: (B, H, W), winding number of the top left corner where layers may overlap, else NONE.
-        areas: of each piece, by `part`.
-        shares: of each piece, derivative of coverage by the edge's two ends.
+        areas: areas of each piece, by `part`.
+        shares: shares of each piece, derivative of coverage by the edge's two ends.
         alpha: (B, H, W), updated.
     """
     b, row, column = wp.tid()

@@ -1,6 +1,6 @@
 """Warp functions: the exact covered share of a pixel in which layers of the body may overlap.
 
-As in `kernels_overlap`: the pixel is cut into slabs at every height where a piece of outline begins, ends or crosses
+As in `render_overlap`: the pixel is cut into slabs at every height where a piece of outline begins, ends or crosses
 another; within a slab the order of the pieces from left to right does not change, so the length covered at its
 middle times its height is its area. Nothing is stored: heights are found one after the other, orders by counting.
 Every piece has a thread of its own: a fingertip's pixel may have dozens of pieces, and a device would wait for the one
@@ -136,7 +136,7 @@ def winding_to_left(
 ) -> wp.int32:
     """Return the winding number just left of a piece at a height.
 
-    Down the left border it falls by 1 where a piece comes in and rises by 1 where one goes out.
+    Down the left border it falls by 1 where a piece enters and rises by 1 where one leaves.
 
     Args:
         base: winding number of the pixel's top left corner.
@@ -233,7 +233,7 @@ def area_from_piece(
 ) -> wp.float64:
     """Return the change of the area by the stretches of a piece that separate body from background; add their shares.
 
-    Which stretches these are changes only where the piece meets another, or another begins or ends.
+    These stretches change only where the piece meets another, or another begins or ends.
 
     Args:
         piece: number of the piece; -1 for the pixel's left border.
@@ -242,7 +242,7 @@ def area_from_piece(
         older: next piece in the chain of each piece.
         span: parameters of each piece on its edge.
         line: start and end of each piece in its pixel.
-        shares: of each piece, updated.
+        shares: shares of each piece, updated.
     """
     at, area = line[piece], wp.float64(0.0)
     low, end = wp.min(at[1], at[3]), wp.max(at[1], at[3])

@@ -1,8 +1,8 @@
 """Warp kernels: vertices on the screen, and which face is seen at each pixel's centre.
 
-One thread per vertex or face of every body of a batch. Whatever several threads write is a maximum or a sum of whole
-numbers, neither of which depends on who comes first: results have the same bits on every run. Geometry is computed in
-float64. Conventions (pixels, sides, ties) are those of `kernels_screen`.
+One thread per vertex or face of every body of a batch. Values written by several threads are maxima or sums of whole
+numbers, which do not depend on the threads' order: results have the same bits on every run. Geometry is computed in
+float64. Conventions (pixels, sides, ties) are those of `render_screen`.
 """
 # mypy: ignore-errors
 # (Warp compiles these: its types are not mypy's)
@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-wp.config.log_level = wp.LOG_ERROR  # what it says of its modules and drivers would spoil what a command prints
+wp.config.log_level = wp.LOG_ERROR  # its messages on modules and drivers would disturb a command's output
 wp.set_module_options({"enable_backward": False})
 
 NONE = wp.constant(wp.int32(-(2**31)))  # code of a pixel that shows neither a face nor an outline edge
@@ -97,7 +97,7 @@ def pack(value: wp.float64, index: wp.int64, mask: wp.int64) -> wp.int64:
 
     Args:
         value: positive number.
-        index: of a face.
+        index: number of a face.
         mask: bits of an index.
     """
     return (wp.cast(value, wp.int64) & (wp.int64(-1) - mask)) | index

@@ -1,8 +1,7 @@
-"""Warp kernels: the texture's colour at each pixel, the pictures' means, and the way back of both to what is seen.
+"""Warp kernels: the texture's colour at each pixel, the images' means, and their gradients.
 
-As in `kernels_surface`. The way back gathers: a face collects from the pixels that show it, an outline edge from its
-own pieces (`cuda_kernels_gradient`), so nothing but the texture's gradient is added to by several threads, and that one
-in whole steps.
+As in `render_surface`. The backward pass gathers: a face collects from its pixels, an outline edge from its own pieces
+(`warp/gradient.py`), so that several threads add only to the texture's gradient, in whole steps.
 """
 # mypy: ignore-errors
 # (Warp compiles these: its types are not mypy's)
@@ -69,8 +68,8 @@ def point_seen(
 
     Args:
         b: number of the body.
-        row: of the pixel or texel.
-        column: of the pixel or texel.
+        row: row of the pixel or texel.
+        column: column of the pixel or texel.
         code: what the pixel shows.
         projected: (B, V), x, y [px], 1/z [1/m].
         front: (B, F), faces that look at the camera.
@@ -136,8 +135,8 @@ def colour_at(textures: wp.array4d(dtype=Any), g: wp.int32, row: wp.int32, colum
     Args:
         textures: (G, A, A, 3), linear light; empty for silhouettes alone.
         g: number of the texture.
-        row: of the pixel or texel.
-        column: of the pixel or texel.
+        row: row of the pixel or texel.
+        column: column of the pixel or texel.
     """
     return wp.vec3d(
         wp.float64(textures[g, row, column, 0]),
@@ -219,8 +218,8 @@ def add_in_steps(
         value: the colour.
         steps: number of steps in 1.
         g: number of the texture.
-        row: of the pixel or texel.
-        column: of the pixel or texel.
+        row: row of the pixel or texel.
+        column: column of the pixel or texel.
         total: (G, A, A, 3), added to.
     """
     for q in range(3):

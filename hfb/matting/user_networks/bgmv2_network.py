@@ -1,8 +1,8 @@
 """BackgroundMattingV2 (Lin et al., Real-Time High-Resolution Background Matting, 2021), for its plain weights.
 
-Written from the paper's description, with its release's names of parameters: an encoder (ResNet or MobileNetV2) at a
-small size whose last block is dilated instead of strided, atrous pooling, a decoder with the encoder's finer maps
-beside it, and a refiner that looks at full size only at the 4 x 4 patches whose predicted error is largest.
+Written from the paper's description, with the released names of parameters: an encoder (ResNet or MobileNetV2) at a
+small size whose last block is dilated instead of strided, atrous pooling, a decoder with skip connections from the
+encoder, and a refiner that processes at full size only the 4 x 4 patches with the largest predicted error.
 """
 
 from collections.abc import Mapping
@@ -14,14 +14,19 @@ from torch.nn import functional
 from hfb.matting.user_networks.encoders import MobileNetV2, ResNet
 from hfb.typing import Bool, Float, Tensor
 
-_BASE_CHANNELS = 1 + 3 + 1 + 32  # alpha, colour, error, and what the refiner is told besides
+_BASE_CHANNELS = 1 + 3 + 1 + 32  # alpha, colour, error, and further input of the refiner
 
 
 class MattingNetwork(nn.Module):
-    """Base and, where the weights have one, refiner; its attributes are those of the released TorchScript files."""
+    """Base and, where the weights have one, refiner; its attributes are those of the released TorchScript files.
+
+    Args:
+        backbone: mobilenetv2, resnet50 or resnet101.
+        refined: whether the weights have a refiner.
+    """
 
     def __init__(self, backbone: str, refined: bool) -> None:
-        """`backbone`: mobilenetv2, resnet50 or resnet101."""
+        """Build the layers; `backbone` is mobilenetv2, resnet50 or resnet101."""
         super().__init__()
         self.backbone = MobileNetV2(6) if backbone == "mobilenetv2" else ResNet(6, 23 if backbone == "resnet101" else 6)
         deepest, *finer = self.backbone.channels
@@ -55,7 +60,7 @@ class MattingNetwork(nn.Module):
         return fine[:, :1].clamp(0, 1), (fine[:, 1:] + src).clamp(0, 1), alpha, error
 
     def _chosen(self, error: Float[Tensor, "B 1 h w"], rows: int, columns: int) -> Bool[Tensor, "B a b"] | None:
-        """Patches to look at again; None for all of them at once."""
+        """Return the patches to refine; None for all of them at once."""
         if self.refine_mode == "full":
             return None
         error = _resized(error, (rows, columns))[:, 0]
@@ -67,7 +72,12 @@ class MattingNetwork(nn.Module):
 
 
 class AtrousPooling(nn.Module):
-    """DeepLabV3's atrous spatial pyramid: dilations 3, 6, 9, a 1 x 1 convolution and the picture's mean."""
+    """DeepLabV3's atrous spatial pyramid: dilations 3, 6, 9, a 1 x 1 convolution and the image's mean.
+
+    Args:
+        channels: number of input channels.
+        inner: number of output channels.
+    """
 
     def __init__(self, channels: int, inner: int = 256) -> None:
         super().__init__()
@@ -95,7 +105,12 @@ class AtrousPooling(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Four doublings, each with the encoder's map of that size beside it."""
+    """Four doublings, each with the encoder's map of that size as a skip connection.
+
+    Args:
+        channels: number of channels of each step.
+        beside: number of channels of the encoder's maps.
+    """
 
     def __init__(self, channels: tuple[int, ...], beside: tuple[int, ...]) -> None:
         super().__init__()
@@ -188,7 +203,7 @@ def network_of(state: Mapping[str, Tensor]) -> MattingNetwork:
 
 
 def _patches(picture: Tensor, side: int, step: int, chosen: Bool[Tensor, "B a b"]) -> Float[Tensor, "n C side side"]:
-    """Windows of a padded picture, one per chosen patch."""
+    """Return windows of a padded image, one per chosen patch."""
     windows = picture.permute(0, 2, 3, 1).unfold(1, side, step).unfold(2, side, step)
     return windows[chosen]
 

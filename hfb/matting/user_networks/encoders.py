@@ -1,6 +1,6 @@
 """The encoders of BackgroundMattingV2: ResNet (He et al. 2015) and MobileNetV2 (Sandler et al. 2018).
 
-Both give their maps at 1/16, 1/8, 1/4, 1/2 and 1/1 of the picture: the last halving is replaced by a dilation of two.
+Both give their maps at 1/16, 1/8, 1/4, 1/2 and 1/1 of the image: the last halving is replaced by a dilation of two.
 Parameters are named as in the weights that are published everywhere.
 """
 
@@ -16,7 +16,14 @@ _DILATED_FROM = 14
 
 
 class Bottleneck(nn.Module):
-    """1 x 1, 3 x 3 (strided or dilated), 1 x 1, beside the identity or a projection."""
+    """1 x 1, 3 x 3 (strided or dilated), 1 x 1 convolutions, plus the identity or a projection.
+
+    Args:
+        before: number of input channels.
+        inner: number of inner channels, a quarter of the output's.
+        stride: of the middle convolution.
+        dilation: of the middle convolution.
+    """
 
     def __init__(self, before: int, inner: int, stride: int, dilation: int) -> None:
         super().__init__()
@@ -44,7 +51,12 @@ class Bottleneck(nn.Module):
 
 
 class ResNet(nn.Module):
-    """ResNet-50 (6 blocks in its third stage) or -101 (23)."""
+    """ResNet-50 (6 blocks in its third stage) or -101 (23).
+
+    Args:
+        inputs: number of input channels.
+        third: number of blocks in the third stage.
+    """
 
     def __init__(self, inputs: int, third: int) -> None:
         super().__init__()
@@ -70,13 +82,21 @@ class ResNet(nn.Module):
 
 
 def _stage(before: int, inner: int, blocks: int, stride: int, dilation: int = 1) -> nn.Sequential:
-    """The first block is strided, and not yet dilated."""
+    """Build a stage, whose first block is strided, and not yet dilated."""
     first = Bottleneck(before, inner, stride, 1)
     return nn.Sequential(first, *(Bottleneck(4 * inner, inner, 1, dilation) for _ in range(blocks - 1)))
 
 
 class InvertedResidual(nn.Module):
-    """Expand, filter every channel by itself, project; the identity beside where sizes agree."""
+    """Expansion, depthwise convolution, projection; plus the identity where sizes agree.
+
+    Args:
+        before: number of input channels.
+        after: number of output channels.
+        expansion: factor of the inner channels.
+        stride: of the depthwise convolution.
+        dilation: of the depthwise convolution.
+    """
 
     def __init__(self, before: int, after: int, expansion: int, stride: int, dilation: int) -> None:
         super().__init__()
@@ -97,7 +117,11 @@ class InvertedResidual(nn.Module):
 
 
 class MobileNetV2(nn.Module):
-    """Up to its last block."""
+    """MobileNetV2 up to its last block.
+
+    Args:
+        inputs: number of input channels.
+    """
 
     def __init__(self, inputs: int) -> None:
         super().__init__()

@@ -22,18 +22,19 @@ _MULTIPLE_PX = 4
 _LONGEST_PX = 4096
 """Larger frames are matted at this size: a matte is compared at 256 px at most, and memory stays bounded."""
 _TILES_SHARE = 0.125
-"""How much of a tile its neighbour sees too."""
+"""Overlap of neighbouring tiles, as a share of a tile."""
 _COARSE_PX = 480
 """Longer side of BackgroundMattingV2's first pass: 1/4 of an HD frame, as its authors recommend."""
 _COARSE_SCALES = (0.125, 0.5)
 _REFINED_PIXELS = 80_000
-"""At HD and below, as its authors recommend; of larger pictures the same share (4K: 320,000)."""
+"""Number of refined pixels at HD and below, as its authors recommend; larger images have the same share (4K:
+320,000)."""
 _REFINED_SHARE = _REFINED_PIXELS / (1920 * 1080)
 _MOST_ENLARGED = 8
-"""A network whose file fixes the number of refined pixels fails on a small picture, which is then shown larger."""
+"""A network whose file fixes the number of refined pixels fails on a small image, which is then shown larger."""
 _RVM_PX = 512
 _RVM_LOOKS = 4
-"""How often a recurrent network sees the same frame: frames are computed beside each other, none waits for another."""
+"""Number of times a recurrent network sees the same frame: frames are computed in parallel, independently."""
 
 _Pictures = tuple[Float[Array, "H W 3"], ...]
 """The frame, and the plate where the network sees one."""
@@ -92,9 +93,9 @@ class BackgroundMattingV2:
         """Load the network; None for an option chooses by the frame's size, or keeps the file's own.
 
         Args:
-            path: of the network's file.
+            path: the network's file.
             backbone_scale: size of the coarse pass relative to the image's.
-            refine_mode: how refined patches are chosen.
+            refine_mode: rule by which refined patches are chosen.
             refine_pixels: number of refined pixels.
             refine_threshold: error above which a pixel is refined.
             tile_px: larger frames are seen in tiles of this size.
@@ -112,7 +113,7 @@ class BackgroundMattingV2:
         self._factors: dict[tuple[int, ...], int] = {}
         self._weights = weights_of(path) if holds_weights(path) else None
         if self._weights is None:
-            load_network(path)  # what is wrong with it is said at once
+            load_network(path)  # problems are reported at once
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """See `Matting`."""
@@ -151,7 +152,7 @@ class BackgroundMattingV2:
         )
 
     def _network(self, height: int, width: int) -> Network:
-        """With the coarse scale and the refined pixels for a picture of this size."""
+        """Return the network with coarse scale and refined pixels for an image of this size."""
         scale = self._scale or float(np.clip(_COARSE_PX / max(height, width), *_COARSE_SCALES))
         # More pixels than there are, and the network's own choice of the worst fails.
         usual = max(_REFINED_PIXELS, round(_REFINED_SHARE * height * width))
@@ -169,10 +170,16 @@ class BackgroundMattingV2:
 
 
 class RobustVideoMatting:
-    """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not looked at."""
+    """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not used.
+
+    Args:
+        path: the network's file.
+        tile_px: side of tiles in which larger frames are processed.
+        half: compute in 16 bits.
+    """
 
     def __init__(self, path: Path, tile_px: int | None = None, half: bool = False) -> None:
-        """Raises InputError where the file cannot be used."""
+        """Load the network. Raises InputError where the file cannot be used."""
         self._network = load_network(path, half=half)
         self._tile_px = tile_px
         self._onnx = is_onnx(path)
@@ -231,7 +238,7 @@ def weights_of(path: Path) -> MattingNetwork:
 
 
 def _unwrapped(checkpoint: object) -> object:
-    """The weights of a checkpoint that holds the state of a training besides."""
+    """Return the weights of a checkpoint that also holds the state of a training."""
     if isinstance(checkpoint, dict):
         for name in ("state_dict", "model_state_dict"):
             if isinstance(checkpoint.get(name), dict):
@@ -246,7 +253,7 @@ def _srgb(picture: Picture | Plate) -> Float[Array, "H W 3"]:
 def _at_size(
     pictures: _Pictures, tile_px: int | None, look: Callable[[_Pictures], Float[Array, "h w"]]
 ) -> Float[Array, "H W"]:
-    """A matte at the frame's size, of a network that sees it in tiles, or at a size that fits into memory."""
+    """Return the matte at the frame's size, of a network that runs in tiles, or at a size that fits into memory."""
     height, width = pictures[0].shape[:2]
     if tile_px is not None and max(height, width) > tile_px:
         alpha = _in_tiles(pictures, tile_px, look)
@@ -263,7 +270,7 @@ def _at_size(
 def _in_tiles(
     pictures: _Pictures, tile_px: int, look: Callable[[_Pictures], Float[Array, "h w"]]
 ) -> Float[Array, "H W"]:
-    """Tiles that overlap and fade into each other; memory is a tile's."""
+    """Run in overlapping tiles that are blended; memory is a tile's."""
     height, width = pictures[0].shape[:2]
     total, weight = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
     for top, bottom, down in _tiles(height, tile_px):
@@ -276,7 +283,7 @@ def _in_tiles(
 
 
 def _tiles(length: int, tile_px: int) -> Iterator[tuple[int, int, Float[Array, "n"]]]:
-    """First and last pixel (exclusive) of each tile along a side, and its weights, which fall to its ends."""
+    """Yield first and last pixel (exclusive) of each tile along a side, and its weights, which fall to its ends."""
     size = min(length, tile_px)
     count = 1 if size == length else 1 + int(np.ceil((length - size) / (size * (1 - _TILES_SHARE))))
     for first in np.linspace(0, length - size, count).round().astype(int):
@@ -306,7 +313,7 @@ def _planes(picture: Float[Array, "H W 3"]) -> Float[Array, "1 3 H W"]:
 
 
 def _alpha(outputs: Outputs, name: str, place: int, size: tuple[int, int]) -> Float[Array, "H W"]:
-    """The output of that name, else the one at that place."""
+    """Return the output of that name, else the one at that place."""
     array = outputs.get(name if name in outputs.names else place)
     if array.shape[-2:] != size or array.size != size[0] * size[1]:
         raise InputError(

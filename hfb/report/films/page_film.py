@@ -65,7 +65,7 @@ def around_person(shot: Shot) -> Shot:
 
 
 def _box(motion: SampledMotion, camera: PinholeCamera) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom [px] around all joints in the picture, with a margin; the whole picture at most."""
+    """Return left, top, right, bottom [px] around all joints in the image, with a margin, within the image."""
     seen = motion.joints @ camera.matrix().numpy().T
     pixels = seen[..., :2] / np.maximum(seen[..., 2:], 1e-6)
     margin = _MARGIN * float(np.median(np.ptp(pixels[..., 1], axis=1)))

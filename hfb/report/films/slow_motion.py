@@ -76,7 +76,7 @@ def film_instants(motion: SampledMotion, slow: float | None = None) -> Float[Arr
         slow: how many times slower than real time; None for `film_slow_factor`.
 
     Raises:
-        InputError: so many that no film could show them.
+        InputError: there are too many for a film, which means a damaged clock.
     """
     slow = film_slow_factor(motion) if slow is None else slow
     first, last = float(motion.times_s[0]), float(motion.times_s[-1])
@@ -148,12 +148,12 @@ def overlay(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
 
 
 def _is_short(motion: SampledMotion) -> bool:
-    """Whether one picture per exposure would be over too soon; a single exposure has none to come after it."""
+    """Return whether a film of one image per exposure would be too short; a single exposure has no frame rate."""
     return float(motion.times_s[-1] - motion.times_s[0]) < _SHORT_S or len(_opened(motion)) < 2
 
 
 def _overlay_instants(motion: SampledMotion) -> Float[Array, "F"]:
-    """When the overlay shows the body [s]."""
+    """Return the instants of the overlay's images [s]."""
     if _is_short(motion):
         return film_instants(motion)
     exposure = motion.times_s[motion.rows_of(int(motion.frame_index[0]))]
@@ -161,7 +161,7 @@ def _overlay_instants(motion: SampledMotion) -> Float[Array, "F"]:
 
 
 def _side_by_side(shot: Shot, keys: MotionKeys) -> Iterator[Float[Array, "Y X 3"]]:
-    """Blurred | one instant | re-blurred, under captions, over a time line."""
+    """Yield blurred | one instant | re-blurred, under captions, over a time line."""
     view, slow = _View(shot), film_slow_factor(shot.motion)
     for row, time_s in enumerate(keys.times_s.tolist()):
         frame = view.frame_at(time_s)
@@ -202,18 +202,18 @@ def _closed(keys: MotionKeys, row: int) -> str:
 def _over_time_line(
     motion: SampledMotion, cells: list[Float[Array, "Y x 3"]], time_s: float, slow: float | None = None
 ) -> Float[Array, "Y2 X2 3"]:
-    """Panels beside each other over the time line."""
+    """Lay panels side by side over the time line."""
     picture = np.concatenate(cells, 1)
     return _filled_up(np.concatenate([picture, draw_time_line(motion, time_s, picture.shape[1], slow)]))
 
 
 def _opened(motion: SampledMotion) -> Float[Array, "T"]:
-    """When the shutter opened for every frame of the motion [s]."""
+    """Return when the shutter opened for every frame of the motion [s]."""
     return motion.times_s[np.flatnonzero(np.diff(motion.frame_index, prepend=-1))]
 
 
 def _filled_up(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y2 X2 3"]:
-    """The picture with white below and right where a side is odd: H.264 needs even ones."""
+    """Pad an image with white to even sides, which H.264 needs."""
     pads = (*((0, side % 2) for side in picture.shape[:2]), (0, 0))
     return np.pad(picture, pads, constant_values=1.0)
 

@@ -9,7 +9,7 @@ from hfb.typing import Array, Float
 _HEIGHT_PX, _MARGIN_PX, _TEXT_PX = 30, 6, 250
 _INK, _OPEN, _MARK = (40, 40, 40), (150, 150, 150), (217, 95, 2)
 _SHOWN_FRAMES = 6
-"""Exposures in view at a time: of longer motions the stretch around the instant is shown."""
+"""Exposures in view; of longer motions those around the instant."""
 
 
 def draw_time_line(

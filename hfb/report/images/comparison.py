@@ -25,7 +25,7 @@ def draw_comparison(
         sharp: true sub-frames, premultiplied linear colour and silhouette; None leaves them out.
 
     Raises:
-        ValueError: the prediction has no pictures.
+        ValueError: the prediction has no images.
     """
     if prediction.pictures is None:
         raise ValueError("there is nothing to draw: the prediction has no pictures")

@@ -17,7 +17,7 @@ from hfb.report.plots.plot_style import FAINT_GRAY, GRAY
 from hfb.typing import Array, Float, Int
 
 RUN_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""The first run's, the second's ...; the page's style calls them one, two, three, four."""
+"""Colours of the runs in order; the page's style calls them one, two, three, four."""
 
 _SHOWN_INSTANTS = 3
 _VIEWS = (("camera", 0), ("side", 2))
@@ -35,7 +35,7 @@ def draw_motions(
         differences: of every motion but the first from the first, each with at least one shared instant.
 
     Raises:
-        ValueError: two share no frame.
+        ValueError: two motions share no frame.
     """
     if not all(len(difference.instants_s) for difference in differences):
         raise ValueError("there is nothing to draw: the motions share no frame")
@@ -103,14 +103,14 @@ def _nearest(motion: SampledMotion, time_s: float) -> int:
 
 
 def _skeleton(axes: Any, joints: Float[Array, "24 3"], axis: int, colour: str) -> None:
-    """Bones about the pelvis, seen along the camera's axis or from the side; y points down in the picture."""
+    """Draw bones about the pelvis, seen along the camera's axis or from the side; y points down."""
     across = joints[:, axis] - joints[0, axis] if axis else joints[:, axis]
     for parent, child in BONES:
         axes.plot(across[[parent, child]], -joints[[parent, child], 1], color=colour, linewidth=1.8, alpha=0.8)
 
 
 def _distances(axes: Any, differences: Sequence[MotionDifference], colours: Sequence[str]) -> None:
-    """Mean (and, of two motions, largest) distance of the joints from the first motion's, against time."""
+    """Plot the mean (and, of two motions, largest) distance of the joints from the first motion's, against time."""
     for difference, colour in zip(differences, colours, strict=True):
         spread = difference.joints_mm
         drawn = colour if len(differences) > 1 else "black"

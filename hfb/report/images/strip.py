@@ -114,7 +114,7 @@ def captioned(picture: Float[Array, "H W 3"], caption: str) -> Float[Array, "Y X
 
 
 def _written(note: str, width: int) -> Float[Array, "Y X 3"]:
-    """Lines of text as wide as a picture."""
+    """Draw text as an image of this width."""
     lines, words = [""], note.split()
     for word in words:
         longer = f"{lines[-1]} {word}".strip()
@@ -135,7 +135,7 @@ def _row(
     body: Body,
     rasterizer: Rasterizer,
 ) -> StripRow:
-    """One frame's pictures in the window's camera."""
+    """Render one frame's images in the window's camera."""
     vertices = pose_rows(motion, motion.rows_of(frame), body).vertices
     count = len(vertices)
     with torch.no_grad():
@@ -165,7 +165,7 @@ def _ghosts(
     body: Body,
     rasterizer: Rasterizer,
 ) -> Float[Tensor, "H W 3"]:
-    """First, middle and last body from the side, the earlier ones showing through."""
+    """Render the first, middle and last body from the side, earlier ones transparent."""
     chosen = [0, (len(vertices) - 1) // 2, len(vertices) - 1]
     picture = torch.full_like(window.plate_linear, _PAPER)
     turned, camera = side_view(vertices[chosen], *picture.shape[:2])

@@ -132,7 +132,7 @@ def strip_thumbnail(strip: Path) -> bytes:
         strip: the result's strip.png.
 
     Raises:
-        InputError: it is damaged, or no picture.
+        InputError: it is damaged, or no image.
     """
     pixels = read_picture_srgb(strip)
     width_px, height_px = _THUMBNAIL_PX
@@ -142,13 +142,13 @@ def strip_thumbnail(strip: Path) -> bytes:
 
 
 def _trouble(place: int, clip: BatchClip) -> tuple[str, str | None, str]:
-    """Name, page where that is not the first, reason."""
+    """Return name, page where that is not the first, and reason."""
     elsewhere = place // CLIPS_PER_PAGE
     return clip.name, page_name(elsewhere) if elsewhere else None, clip.reason[:_LONGEST_REASON]
 
 
 def _row(clip: BatchClip, whole: str | None = None) -> dict[str, object]:
-    """Of a clip; or of one of several people in it, whose ``whole`` clip has the row above."""
+    """Return the row of a clip, or of one of several people in the clip ``whole``."""
     count = len(clip.warnings)
     warned_of = f", {count} warning{'s' if count > 1 else ''}" if count else ""
     return {
@@ -174,7 +174,7 @@ def _figure(value: object, form: str) -> str:
 
 
 def _thumbnail(clip: BatchClip) -> str | None:
-    """The address that holds it."""
+    """Return the thumbnail as a data URI."""
     if clip.thumbnail is None:
         return None
     try:

@@ -17,7 +17,7 @@ from hfb.report.pages.page import page, small_picture
 
 _PLOT_PX, _LOOK_PX = 860, 640
 _MOST_LOOKS = 360
-"""So many pictures of some 25 KB are shown; of a larger benchmark those of cases spread over the whole range."""
+"""Largest number of images of some 25 KB; a larger benchmark shows those of evenly chosen cases."""
 
 _PLOTS = {
     "ratio_by_blur.png": "MPJPE over the start's, by blur rate (95 % intervals from 6 cases on); below 1 is better",
@@ -87,7 +87,7 @@ def _title_of(text: str) -> str:
 
 
 def _in_short(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The figures that a reader looks for first, each with its words."""
+    """Return the main figures, each with its description."""
     cells = {name: both["all"] for name, both in summary["methods"].items() if not is_start(both["all"])}
     found = []
     for name, cell in cells.items():
@@ -103,7 +103,7 @@ def _in_short(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _plot(path: Path) -> bytes:
-    """A plot that keeps a readable size and scrolls where the page is narrower."""
+    """Return a plot that keeps a readable size and scrolls where the page is narrower."""
     pixels = read_picture_srgb(path)
     height = max(1, round(pixels.shape[0] * _PLOT_PX / pixels.shape[1]))
     small = cv2.resize(pixels, (_PLOT_PX, height), interpolation=cv2.INTER_AREA)
@@ -113,7 +113,7 @@ def _plot(path: Path) -> bytes:
 
 
 def _cases(answers: Sequence[Answer], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """Per case its row of the table, and its pictures where they are shown."""
+    """Return the table's row and the images of every case."""
     by_case: dict[int, list[Answer]] = {}
     for answer in answers:
         by_case.setdefault(int(answer.row["case"]), []).append(answer)
@@ -135,7 +135,7 @@ def _cases(answers: Sequence[Answer], methods: Sequence[str]) -> list[dict[str, 
 
 
 def _drawn(by_case: Mapping[int, Sequence[Answer]]) -> set[int]:
-    """The cases whose pictures are shown: all, or as many as a page can hold, spread over all of them."""
+    """Return the cases whose images are shown: all, or evenly chosen ones."""
     seen = [case for case in sorted(by_case) if any(one.look is not None for one in by_case[case])]
     each = max((sum(one.look is not None for one in by_case[case]) for case in seen), default=1)
     places = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), max(1, _MOST_LOOKS // each))).round().astype(int))

@@ -97,7 +97,7 @@ def frames_chart(values: Mapping[int, float], label: str) -> bytes:
 
 
 def _line(axes: Any, values: Sequence[float | None], colour: str, label: str, width: float) -> None:
-    """A curve on a logarithmic axis, where what is not positive is left out."""
+    """Plot a curve on a logarithmic axis without values that are not positive."""
     known: Array = np.array([np.nan if value is None else value for value in values], np.float64)
     if (known > _SMALLEST).any():
         axes.plot(np.where(known > _SMALLEST, known, np.nan), color=colour, label=label, linewidth=width)

@@ -23,10 +23,10 @@ LIMB_ENDS: Mapping[str, int] = {
     "head": 15,
     "whole body": 0,
 }
-"""The joint that stands for each limb; the pelvis for the whole body."""
+"""Joint that represents each limb; the pelvis represents the whole body."""
 
 SHUTTER_SPEEDS = (30, 60, 125, 250, 500, 1000, 2000, 4000, 8000)
-"""What cameras offer, as denominators [1/s]."""
+"""Common exposures of cameras, as denominators [1/s]."""
 
 _ROUNDING = 1 + 1e-9
 
@@ -38,11 +38,11 @@ class LimbSpeed:
     Attributes:
         peak_m_s: its highest speed, in camera coordinates.
         interval_m_s: contains 80 % of true speeds; None where the fit gives no joint radius.
-        peak_s: when.
-        frame: in which frame.
+        peak_s: time of the highest speed.
+        frame: number of the frame at that time.
         mean_m_s: mean speed over all exposures.
         smear_px: longest path in the image during one exposure.
-        smear_frame: the frame of that exposure.
+        smear_frame: number of that exposure's frame.
         peak_px_s: highest speed in the image.
     """
 
@@ -128,7 +128,7 @@ def _speed_of(
 
 
 def _interval(motion: SampledMotion, joint: int, frame: int, peak_m_s: float) -> tuple[float, float] | None:
-    """Where 80 % of true top speeds lie."""
+    """Return the interval of 80 % of true top speeds."""
     rows = motion.rows_of(frame)
     scale = sureness_m_s(motion, joint, rows)
     if not np.isfinite(scale):

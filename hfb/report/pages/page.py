@@ -36,7 +36,6 @@ def page(template: str, title: str, *, scripts: Sequence[str] = (), **values: ob
         template: a file of ``templates/`` that extends ``base.html``.
         title: text of the title and of the first heading.
         scripts: run in this order after loading; no other script in the page ever runs.
-        **values: what the template names; text is escaped, None is nothing.
         **values: the template's variables; text is escaped, None is empty.
     """
     assert not any("</script" in script.lower() for script in scripts), "a script cannot hold its own end"
@@ -110,7 +109,7 @@ def checked_picture(file: Path, width_px: int, kept_bytes: int) -> bytes:
         kept_bytes: a file of at most this size stays as it is.
 
     Raises:
-        InputError: it is damaged, or no picture.
+        InputError: it is damaged, or no image.
     """
     pixels = read_picture_srgb(file)
     content = file.read_bytes() if file.stat().st_size <= kept_bytes else b""

@@ -46,7 +46,7 @@ def read_curves(path: Path) -> dict[str, Any]:
         path: the file.
 
     Raises:
-        InputError: it is missing, damaged, or holds something else than curves.
+        InputError: it is missing, damaged, or holds no curves.
     """
     content = read_json(path)
     try:
@@ -87,7 +87,7 @@ def curve_charts(curves: Mapping[str, Any], facts: Mapping[str, Any]) -> list[tu
 
 
 def _iterations(facts: Mapping[str, Any]) -> list[int]:
-    """Of every stage, as the configuration has them."""
+    """Return the iterations of every stage in the configuration."""
     config = facts.get("config")
     fit = config.get("fit") if isinstance(config, Mapping) else None
     stages = fit.get("stages") if isinstance(fit, Mapping) else None

@@ -17,7 +17,7 @@ _Share = Annotated[float, Field(ge=0, le=1)] | None
 
 
 class _Stored(BaseModel):
-    """Other entries are allowed: every version adds some."""
+    """A record with further entries allowed: every version adds some."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
@@ -69,7 +69,7 @@ def read_facts(path: Path) -> dict[str, Any]:
         path: the file.
 
     Raises:
-        InputError: it is missing, damaged, or an entry that hfb uses is something else than hfb writes.
+        InputError: it is missing, damaged, or an entry that hfb uses has another type.
     """
     content = read_json(path)
     if not isinstance(content, dict):

@@ -115,7 +115,7 @@ def _remarks(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _made_from(contents: ResultContents) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Tables under their headings."""
+    """Return tables of options, inputs and versions under their headings."""
     facts = contents.facts
     config, inputs = facts.get("config"), facts.get("inputs")
     return [
@@ -127,7 +127,7 @@ def _made_from(contents: ResultContents) -> list[tuple[str, list[tuple[str, str]
 
 
 def _flat(content: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested values as dotted names."""
+    """Return nested values with dotted names."""
     rows: list[tuple[str, str]] = []
     for name, value in content.items():
         if isinstance(value, Mapping) and value:

@@ -120,7 +120,7 @@ def _other_advice(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
 
 
 def _height_px(motion: SampledMotion) -> float:
-    """From the highest to the lowest joint in the picture, of the usual instant."""
+    """Return the median distance from the highest to the lowest joint in the image."""
     seen = motion.joints @ motion.K.T
     rows = seen[..., 1] / np.maximum(seen[..., 2], 1e-6)
     return float(np.median(np.ptp(rows, axis=1)))

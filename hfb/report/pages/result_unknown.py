@@ -27,7 +27,7 @@ _SCORES = (
     ("motion", "motion", ".3f"),
 )
 _ARROW = (("limbs_backwards", "prior against it", ".2f"), ("network_backwards", "network against it", ".2f"))
-"""What tells the direction of a single frame; several frames' own continuity is in their loss."""
+"""Evidence for the direction of a single frame; with several frames continuity is part of the loss."""
 
 
 def unknown_sentences(motion: SampledMotion, body: Body | None, facts: Mapping[str, Any]) -> list[str]:
@@ -67,26 +67,24 @@ def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]
 
 
 def alternative_motions(motion: SampledMotion, alternatives: Alternatives) -> list[ViewedMotion]:
-    """Return the motions that were not chosen, the likeliest first, for the viewer.
+    """Return the motions that were not chosen, the likeliest first, then the other front, for the viewer.
 
     Args:
         motion: the result; gives times and camera.
         alternatives: content of alternatives.npz.
     """
     chosen = alternatives.reversed_limbs[alternatives.chosen]
+    named = {}
+    for number in by_probability(alternatives)[:_SHOWN]:
+        if number != alternatives.chosen:
+            name = reversed_text(alternatives.reversed_limbs[number], chosen)
+            moved = alternatives.poses[number], alternatives.trans[number], alternatives.joints[number]
+            named[f"{name} ({100 * alternatives.probability[number]:.0f} %)"] = moved
+    if (front := alternatives.other_front) is not None:
+        named[f"facing the other way ({100 * front.probability:.0f} %)"] = front.poses, front.trans, front.joints
     return [
-        ViewedMotion(
-            f"{reversed_text(alternatives.reversed_limbs[number], chosen)} "
-            f"({100 * alternatives.probability[number]:.0f} %)",
-            replace(
-                motion,
-                poses=alternatives.poses[number],
-                trans=alternatives.trans[number],
-                joints=alternatives.joints[number],
-            ),
-        )
-        for number in by_probability(alternatives)[:_SHOWN]
-        if number != alternatives.chosen
+        ViewedMotion(name, replace(motion, poses=poses, trans=trans, joints=joints))
+        for name, (poses, trans, joints) in named.items()
     ]
 
 
@@ -124,7 +122,7 @@ def reversed_text(reversed_limbs: Array, chosen: Array) -> str:
 
 
 def _joints_said(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
-    """Which joints are least sure, and which most; under which condition that holds."""
+    """Return sentences on the least and most certain joints, and on the condition of their radii."""
     if motion.joint_radius_mm is None or not np.isfinite(motion.joint_radius_mm).any():
         return []
     radius = np.nanmean(motion.joint_radius_mm, 0)
@@ -139,7 +137,7 @@ def _joints_said(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
 
 
 def _condition(facts: Mapping[str, Any], *within: str) -> list[str]:
-    """Under which condition the radii, or what is within them, hold, as the result says; nothing in older ones."""
+    """Return the condition of the radii, as stated by the result; empty for older ones."""
     found = facts.get("confidence")
     for name in (*within, "holds_for"):
         found = found.get(name) if isinstance(found, Mapping) else None
@@ -151,7 +149,7 @@ def _joint_text(joint: int, radius: Array) -> str:
 
 
 def _frames_said(facts: Mapping[str, Any]) -> list[str]:
-    """Frames of a clip in which nobody was fitted."""
+    """Return a sentence on frames of a clip without a fit."""
     said = []
     gaps, filled = facts.get("gaps"), facts.get("filled")
     if isinstance(gaps, list) and gaps:
@@ -163,7 +161,7 @@ def _frames_said(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """1-3, 7 of 1, 2, 3, 7."""
+    """Format numbers as ranges, such as 1-3, 7."""
     runs: list[list[int]] = []
     for number in sorted(numbers):
         if runs and number == runs[-1][1] + 1:
@@ -174,7 +172,7 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 
 def _told_height(facts: Mapping[str, Any]) -> float | None:
-    """What the user said of it."""
+    """Return the person's height as the user gave it."""
     try:
         told = facts["config"]["fit"]["height_m"]
     except (KeyError, TypeError):  # an older result
@@ -183,7 +181,7 @@ def _told_height(facts: Mapping[str, Any]) -> float | None:
 
 
 def _size_said(motion: SampledMotion, body: Body | None, told_m: float | None) -> str:
-    """Size and distance are one number in a picture."""
+    """Return a sentence on size and distance, which a single image cannot separate."""
     far = float(np.median(motion.joints[:, 0, 2]))
     if told_m is not None:
         return (

@@ -97,7 +97,7 @@ def _packed(viewed: ViewedMotion) -> dict[str, Any]:
 
 
 def _packed_skin(skin: Skin) -> dict[str, Any]:
-    """Normals in 8 bits, texture coordinates in 16, weights in 8: less than a pixel shows."""
+    """Pack normals in 8 bits, texture coordinates in 16, weights in 8: the errors are below a pixel."""
     count = len(skin.vertices)
     joints, weights = np.zeros((2, count, 4 * _SETS))
     for number, (some, shares) in enumerate(zip(skin.joints[:_SETS], skin.weights[:_SETS], strict=True)):
@@ -114,6 +114,6 @@ def _packed_skin(skin: Skin) -> dict[str, Any]:
 
 
 def _base64(values: Shaped[Array, "..."]) -> str:
-    """Little-endian, row after row."""
+    """Encode numbers in Base64: little-endian, row by row."""
     little = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("<"), copy=False)
     return base64.b64encode(little.tobytes()).decode()

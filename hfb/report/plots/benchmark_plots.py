@@ -17,7 +17,7 @@ from hfb.report.plots.reliability_plot import reliability
 from hfb.typing import Array, Float
 
 _POINTS_SHOWN = 0.98
-"""Share of the cases that the vertical axis of the error plot must hold; the others are counted in a corner."""
+"""Share of the cases within the error plot's vertical axis; the others are counted in a corner."""
 
 _CHAINS = (
     "spine1",
@@ -42,8 +42,8 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
     """Write every plot that the rows have numbers for.
 
     Args:
-        rows: a mapping (or a row of a pandas table) per case and method, as `summarize` takes them.
-        summary: what `summarize` made of the same rows.
+        rows: a mapping (or a row of a pandas table) per case and method, as in `summarize`.
+        summary: result of `summarize` for the same rows.
         folder: where the PNG files go.
 
     Returns:
@@ -197,7 +197,7 @@ def _against_blur(
 def _per_bin(
     cases: DataFrame, column: str, bins: Sequence[tuple[float, float]]
 ) -> tuple[Float[Array, "P"], Float[Array, "P"], Float[Array, "P 2"]]:
-    """Mean blur rate, mean of a column and its 95 % interval, of every interval with a case."""
+    """Return mean blur rate, mean of a column and its 95 % interval, of every interval with a case."""
     points = []
     for index in range(len(bins)):
         part = within(cases, bins, index).dropna(subset=column)
@@ -210,7 +210,7 @@ def _per_bin(
 
 
 def _frame_most(axes: Any, columns: Sequence[Float[Array, "_"]]) -> None:
-    """Let the axis start at zero and hold nearly all points; say how many lie above it."""
+    """Let the axis start at zero and hold nearly all points; annotate the number above it."""
     values = np.concatenate(columns)
     lines = max((float(np.max(line.get_ydata())) for line in axes.lines if len(line.get_ydata())), default=0.0)
     top = 1.05 * max(float(np.quantile(values, _POINTS_SHOWN)), lines)
@@ -222,7 +222,7 @@ def _frame_most(axes: Any, columns: Sequence[Float[Array, "_"]]) -> None:
 
 
 def _contenders(summary: Mapping[str, Any], entry: str) -> dict[str, Any]:
-    """Methods that know an entry and are not the start itself."""
+    """Return methods with an entry that are not the start itself."""
     cells = summary["methods"].items()
     return {name: both for name, both in cells if both["all"][entry] is not None and not is_start(both["all"])}
 
@@ -232,7 +232,7 @@ def _of_set(summary: Mapping[str, Any]) -> str:
 
 
 def _joint_groups(merge_sides: bool) -> dict[str, list[int]]:
-    """Label -> joints of the SMPL layout."""
+    """Return label -> joints of the SMPL layout."""
     bare = [name.removeprefix("left_").removeprefix("right_") for name in JOINT_NAMES]
     if merge_sides:
         return {name: [joint for joint in range(24) if bare[joint] == name] for name in _CHAINS}
@@ -241,6 +241,6 @@ def _joint_groups(merge_sides: bool) -> dict[str, list[int]]:
 
 
 def _per_group(cases: DataFrame, groups: Sequence[Sequence[int]]) -> Float[Array, "C G"]:
-    """Mean error of each group of joints in every case that knows its joints."""
+    """Return the mean error of each group of joints in every case with joint errors."""
     known = known_joints(cases)
     return np.stack([known[:, list(group)].mean(1) for group in groups], axis=1)

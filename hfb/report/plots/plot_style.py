@@ -14,7 +14,7 @@ _SIZE_INCHES, _DPI = (9.0, 5.0), 160
 _FONT_POINTS = 10.5
 GRAY, FAINT_GRAY = "#666666", "#dddddd"
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's palette for every kind of colour vision, without its yellow, which white paper swallows."""
+"""Okabe and Ito's colour-blind palette without its yellow, which is hard to see on white."""
 _FIXED = {"best": "#0072B2", "paper": "#D55E00"}
 _MARKERS = "osD^vP*X"
 

@@ -17,6 +17,14 @@ class Decimator:
     """A triangle mesh under edge collapse; vertices of ``on_middle`` stay on their plane, texture seams stay seams."""
 
     def __init__(self, points: np.ndarray, faces: np.ndarray, uv_faces: np.ndarray, on_middle: np.ndarray):
+        """Take a mesh.
+
+        Args:
+            points: (V, 3) vertices [m].
+            faces: (F, 3) vertex indices.
+            uv_faces: (F, 3) texture coordinate indices.
+            on_middle: (V,) bool, vertices of the plane x = 0.
+        """
         self.points = points
         self.on_middle = on_middle
         self.faces = {i: list(face) for i, face in enumerate(faces.tolist())}
@@ -101,7 +109,7 @@ class Decimator:
         return {self.uv_faces[i][self.faces[i].index(v)] for i in self.at[v]}
 
     def _collapsible(self, u: int, v: int) -> dict[int, int] | None:
-        """{texture coordinate at u: the one at v that takes its place}, or None where u must not move onto v."""
+        """Return {texture coordinate at u: its replacement at v}, or None where u must not move onto v."""
         shared = self.at[u] & self.at[v]
         if self.on_middle[u] and (not self.on_middle[v] or len(shared) != 1):
             return None

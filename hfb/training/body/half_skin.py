@@ -73,7 +73,7 @@ def left_half(rest: np.ndarray, faces: np.ndarray, uv_faces: np.ndarray, keep: n
 
 
 def _holes(faces: np.ndarray, uv_faces: np.ndarray, on_middle: np.ndarray) -> list[tuple[list[int], list[int]]]:
-    """Boundary chains off the middle plane, as polygons that close the skin: (vertices, texture coordinates)."""
+    """Return boundary chains off the middle plane as closing polygons: (vertices, texture coordinates)."""
     directed = {}
     for face, uv_face in zip(faces.tolist(), uv_faces.tolist(), strict=True):
         for k in range(3):
@@ -102,7 +102,7 @@ def _holes(faces: np.ndarray, uv_faces: np.ndarray, on_middle: np.ndarray) -> li
 
 
 def _triangulate(polygon: np.ndarray) -> list[tuple[int, int, int]]:
-    """Triangles of least total area that span a closed polygon in space (dynamic programme over its chords)."""
+    """Triangulate a closed polygon in space with least total area (dynamic programme over its chords)."""
     n = len(polygon)
     cost = np.zeros((n, n))
     split = np.zeros((n, n), dtype=int)

@@ -1,4 +1,4 @@
-"""Joints as weighted means of vertices, so that they follow the shape."""
+"""Fit joints as weighted means of vertices, so that they follow the shape."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ PER_OCTANT, RIDGE = 8, 1e-4
 
 
 def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, mirror: np.ndarray) -> np.ndarray:
-    """(24, V) weights, rows adding up to 1 and symmetric, that give the template's joints and how they follow betas.
+    """Return (24, V) symmetric weights, rows sum to 1, that reproduce joints and their dependence on betas.
 
     Ridge regression towards equal weights over vertices all around each joint.
 
@@ -39,7 +39,7 @@ def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, mirror: np.ndarray) 
 
 
 def _around(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """The nearest few vertices in each of the eight octants around a place."""
+    """Return the nearest few vertices in each of the eight octants around a point."""
     away = points - place
     octant = (away > 0) @ np.array([1, 2, 4])
     distance = np.linalg.norm(away, axis=1)

@@ -113,7 +113,7 @@ def _to_y_up(points: np.ndarray) -> np.ndarray:
 
 
 def _smpl_weights(model: Any) -> np.ndarray:
-    """(V, 24): each bone's weights added to the joint it is folded into."""
+    """Return weights (V, 24): each bone's are added to the joint that replaces it."""
     weights = np.zeros((len(model.template_vertices), len(BONES)))
     for slot in range(model.vertex_bone_indices.shape[1]):
         labels = [model.bone_labels[i] for i in model.vertex_bone_indices[:, slot]]
@@ -213,7 +213,7 @@ def t_pose_rotations(joints: np.ndarray, knuckles: np.ndarray) -> np.ndarray:
 
 
 def _frame(first: np.ndarray, near_second: np.ndarray) -> np.ndarray:
-    """Right-handed orthonormal columns: along `first`, and as near to `near_second` as that allows."""
+    """Return orthonormal columns (right-handed): along `first`, and as near to `near_second` as possible."""
     x = first / np.linalg.norm(first)
     y = near_second - x * (x @ near_second)
     y = y / np.linalg.norm(y)
@@ -226,7 +226,7 @@ def _shortest_rotation(start: np.ndarray, goal: np.ndarray) -> np.ndarray:
 
 
 def _share_of_twist(rotation: np.ndarray, axis: np.ndarray, share: float) -> np.ndarray:
-    """Rotation about `axis` by this share of the given rotation's own turn about it (swing-twist split)."""
+    """Return a share of the rotation's twist about `axis` (swing-twist split)."""
     sine = axis @ np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )

@@ -15,7 +15,7 @@ from hfb.training.flags import folder
 from hfb.training.schedule import Counter
 
 _CM = 2.54 / 0.45
-"""A unit of length of the database in centimetres."""
+"""The database's unit of length in centimetres."""
 
 _RATE_HZ = 120.0
 _AXES = {"rx": 0, "ry": 1, "rz": 2}
@@ -142,7 +142,7 @@ def bvh(root: Bone, frames: list[dict[str, list[float]]]) -> str:
 
 
 def _turns(bone: Bone, frames: list[dict[str, list[float]]]) -> np.ndarray:
-    """Angles about z, y and x of a bone against its parent, per frame [degrees]."""
+    """Return a bone's angles about z, y and x relative to its parent, per frame [degrees]."""
     angles = np.zeros((len(frames), 3))
     for place, name in enumerate(bone.free):
         if name in _AXES:

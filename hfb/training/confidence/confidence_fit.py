@@ -43,7 +43,7 @@ from hfb.training.weight_files import read_story
 
 _PERSON = re.compile(r"cmu_(\d+)_")
 _COARSE = (0.0, 0.6, 0.8, 1.0)
-"""Groups of what is said of a direction that a result tells of."""
+"""Edges of the groups of stated probabilities of a direction in a result."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ Said = tuple[Sequence[float], Sequence[bool]]
 
 
 def _said_of_left_out(events: Mapping[StartKind, Sequence[DirectionEvent]], kind: StartKind) -> Said:
-    """Of the body in single frames, each person by coefficients of the others."""
+    """Return stated probabilities and outcomes of bodies in single frames, a person's by the others' coefficients."""
     said: list[float] = []
     right: list[bool] = []
     for person in sorted({event.person for event in events[kind]}):
@@ -209,7 +209,7 @@ def _said_of_left_out(events: Mapping[StartKind, Sequence[DirectionEvent]], kind
 
 
 def _new(kind: StartKind, trust: Trust, cases: Sequence[Case]) -> dict[str, Any] | None:
-    """How the odds hold on new people: groups of what was said of bodies and of limbs; printed before and after."""
+    """Return how the odds hold on new people, in groups of stated probabilities of bodies and limbs; prints them."""
     if not cases:
         return None
     asked = [event for case in cases for event in case.events]
@@ -237,7 +237,7 @@ def _people(cases: Sequence[Case]) -> list[str]:
 
 
 def _off(measured: Mapping[str, float]) -> float:
-    """Mean distance of what happened from what was said."""
+    """Return the mean distance of observed frequencies from stated probabilities."""
     return float(np.mean([abs(measured[f"within_p{100 * level:.0f}"] - level) for level in LEVELS]))
 
 

@@ -32,9 +32,9 @@ _CLOTHED = 0.25
 _SCENES = 240
 _MATTE_ERRORS = (0.35, 0.95)
 _AROUND = 0.4
-"""Of the person's box, on every side: more than any window shows."""
+"""Margin on every side of the person's box: more than any window shows."""
 LEAST_PX = 60
-"""A matte of fewer pixels shows nobody."""
+"""Smallest matte that counts as a visible person [px]."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,15 @@ class Studio(People):
     """Motions, scenes and the body; everything drawn from them is a function of the sample's number."""
 
     def __init__(self, mocap: Path, backgrounds: Path, clips: list[str], seed: int, frame_px: int) -> None:
-        """Read the named clips and make the scenes."""
+        """Read the named clips and make the scenes.
+
+        Args:
+            mocap: folder of clips, BVH files.
+            backgrounds: folder of photographs.
+            clips: names of clips.
+            seed: of the scenes.
+            frame_px: side of the images [px].
+        """
         super().__init__(mocap, clips, seed, frame_px)
         self.rasterizer = make_rasterizer("coverage", "cpu", 1)
         self.scenes = []
@@ -137,7 +145,7 @@ class Studio(People):
         return Sample(seen.channels(), truth, starts, unit_m, float(height_m(self.body, shot.betas)))
 
     def _seen(self, shot: Shot, rng: np.random.Generator) -> Seen | None:
-        """The exposure over all instants; nothing where nobody is found in it."""
+        """Return the exposure over all instants; None where no person is visible."""
         noise = rng.uniform(0.002, 0.012)
         picture, alpha = self._exposed(shot, slice(None))
         if alpha.sum() < LEAST_PX:
@@ -155,7 +163,7 @@ class Studio(People):
     def _shot(
         self, rng: np.random.Generator, seconds_range: tuple[float, float] = SECONDS, instants: int = INSTANTS
     ) -> Shot | None:
-        """Somebody before a camera; nobody where the motion jumps."""
+        """Draw a person in front of a camera; None where the motion jumps."""
         motion = self._motion(rng, seconds_range, instants)
         if motion is None:
             return None
@@ -176,12 +184,12 @@ class Studio(People):
         return Shot(betas, body.mesh, vertices, poses, joints, camera.lens, plate, texture)
 
     def _exposed(self, shot: Shot, instants: slice) -> tuple[torch.Tensor, np.ndarray]:
-        """The picture (H, W, 3), in linear light, of an exposure over some instants, and the person's share (H, W)."""
+        """Return the image (H, W, 3) of an exposure over some instants, linear light, and the person's share (H, W)."""
         mean = self.rasterizer.render_mean(shot.vertices[instants], shot.texture, shot.lens, shot.mesh)
         return compose(mean, shot.plate), mean[..., 3].numpy()
 
     def _scene(self, rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-        """A plate turned around at random, and somebody else's clothes."""
+        """Draw a plate, rotated at random, and a texture."""
         plate = self.scenes[rng.integers(_SCENES)][0]
         texture = self.scenes[rng.integers(_SCENES)][1]
         if rng.random() < 0.5:

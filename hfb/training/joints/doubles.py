@@ -22,10 +22,10 @@ from hfb.training.joints.joint_bank import Rows, draw_rows, split
 from hfb.training.joints.people import INSTANTS, STARTS, draw_amplitude, draw_moments
 
 _AMPLITUDES, _MOTION, _BLUR_PX = (0.03, 0.4), (0.3, 1.05), (0.3, 3.0)
-"""Ranges: of a network's errors; how much of the motion is left; how blurred the texture of 128 px is."""
+"""Ranges: scale of a network's errors; share of the motion that is kept; blur of the texture of 128 px."""
 _SUBFRAMES = 7
 _KEPT, _SHAPE = 0.8, 0.45
-"""Of the betas' truth, and how large their errors are."""
+"""Share of the true betas that is kept, and scale of their errors."""
 _NOBODY = 0.01  # of a pixel, as in hfb.fitting.refine
 
 
@@ -58,7 +58,7 @@ class DoublesStudio(Studio):
         )
 
     def _double(self, shot: Shot, pose: torch.Tensor, rng: np.random.Generator) -> Shot:
-        """Somebody in that pose (24, 3) at u = 1/2 who covers about the same pixels, the further away the taller."""
+        """Return a person in that pose (24, 3) at u = 1/2 who covers about the same pixels: taller if further away."""
         share = rng.uniform(*_MOTION) * np.linspace(-1, 1, _SUBFRAMES)
         middle = INSTANTS // 2
         at = np.round(middle * (1 + share)).astype(int).clip(0, INSTANTS - 1)
@@ -88,7 +88,7 @@ class DoublesStudio(Studio):
         )
 
     def _beside(self, seen: Seen, double: Shot) -> Seen:
-        """The double over the plate, as `hfb.fitting.comparison.drawn` shows a fit."""
+        """Return the double over the plate, as `hfb.fitting.comparison.drawn` renders a fit."""
         mean = self.rasterizer.render_mean(double.vertices, double.texture, double.lens, double.mesh)[seen.inner]
         alpha = mean[..., 3].numpy()
         composed = compose(mean, torch.from_numpy(seen.plate)).numpy()

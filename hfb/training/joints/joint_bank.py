@@ -17,14 +17,14 @@ from hfb.training.joints.people import STARTS
 from hfb.training.schedule import Counter
 
 TRAINING_SUBJECTS = (1, 2, 3, 5, 6, 7, 8, 11, 12, 14)
-"""Subjects 9, 10 and 13 are for reports alone."""
+"""Subjects to train on; 9, 10 and 13 are for reports alone."""
 
 FURTHER_SUBJECTS = (60, 61, 94, 135)
-"""Learned from whole, so that what is held out of the others stays what it was."""
+"""Subjects without held-out takes, so that the held-out takes of the others stay the same."""
 
 _NAME = re.compile(r"[^_]+_\d+_")
 _OTHER = "_daz"
-"""In the names of clips of another conversion (`cut.py`), whose skeleton is the reports' one."""
+"""Part of names of clips in the second conversion (`cut_recordings`), whose skeleton is the reports' one."""
 
 
 def split(mocap: Path, chosen: str) -> list[str]:
@@ -61,7 +61,7 @@ def split(mocap: Path, chosen: str) -> list[str]:
 
 
 def _take(clip: str) -> str:
-    """Subject and trial, the same in both conversions."""
+    """Return subject and trial, the same in both conversions."""
     return "_".join(clip.split("_")[1:3])
 
 

@@ -124,7 +124,7 @@ def augmented(
 def _moved(
     pictures: np.ndarray, truth: np.ndarray, starts: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A share of everything turned about the line of sight, nearer or farther, a little aside: other windows."""
+    """Rotate a share of the samples about the line of sight, scale and shift it: other windows."""
     truth, starts = truth.copy(), starts.copy()
     for row in np.flatnonzero(rng.random(len(pictures)) < _MOVED):
         angle = np.deg2rad(np.clip(rng.normal(0, _ROLL_DEG), -30, 30))
@@ -149,7 +149,7 @@ def _moved(
 
 
 def _leaning(starts: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A share of the starts tilted as a whole into depth, about the pelvis: what estimators of real pictures do."""
+    """Tilt a share of the starts as a whole into depth about the pelvis, as estimators of real images do."""
     for row in np.flatnonzero(rng.random(len(starts)) < _LEANING):
         axis = rng.normal(size=2)
         about = np.array([*(axis / np.linalg.norm(axis)), 0]) * np.deg2rad(rng.normal(0, _LEAN_DEG))
@@ -159,7 +159,7 @@ def _leaning(starts: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Starts (N, 24, 3): mostly as drawn; some as an outline alone would have them, or of somebody else.
+    """Return starts (N, 24, 3): mostly as drawn; some consistent with the outline only, or of another person.
 
     An outline is the same for a person and for the one reflected in depth with the sides exchanged.
     """
@@ -224,10 +224,15 @@ class Batches(IterableDataset[list[Batch]]):
     """An endless stream of lists of one or two batches per iteration: single images, and images beside fits."""
 
     def __init__(self, options: argparse.Namespace) -> None:
+        """Take the options of `hfb train joints`.
+
+        Args:
+            options: the parsed options.
+        """
         self.options = options
 
     def __iter__(self) -> Iterator[list[Batch]]:
-        """A function of the options and of what is drawn by then."""
+        """Yield batches, a function of the options and of the samples drawn by then."""
         options, worker = self.options, get_worker_info()
         if worker is not None:
             cv2.setNumThreads(1)

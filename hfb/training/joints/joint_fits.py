@@ -34,7 +34,7 @@ _PAIRS = 0.5
 _SECONDS = (0.02, 0.7)
 _HASTE, _SUBFRAMES = (0.25, 0.7), 4
 _HASTE_WHOLE, _SUBFRAMES_WHOLE = (0.3, 0.8), 5
-"""Share of the iterations that ship, and how many sub-frames: other fits of a picture are as good to learn from."""
+"""Share of the shipped iterations, and number of sub-frames: other fits of an image are as good to learn from."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,15 @@ class Gym(Studio):
     """A studio whose images are fitted."""
 
     def __init__(self, mocap: Path, backgrounds: Path, clips: list[str], seed: int, frame_px: int) -> None:
-        """Read the named clips and make the scenes."""
+        """Read the named clips and make the scenes.
+
+        Args:
+            mocap: folder of clips, BVH files.
+            backgrounds: folder of photographs.
+            clips: names of clips.
+            seed: of the scenes.
+            frame_px: side of the images [px].
+        """
         super().__init__(mocap, backgrounds, clips, seed, frame_px)
         self.prior = load_pose_prior(None)
         self.hasty = hasty
@@ -69,7 +77,7 @@ class Gym(Studio):
         return None if watched is None else self._samples(watched, rng)
 
     def _watched(self, rng: np.random.Generator, pairs: float = _PAIRS) -> Watched | None:
-        """Somebody in one or two exposures; nobody where no matte finds him."""
+        """Draw a person in one or two exposures; None where no matte finds the person."""
         exposures = _TWO if rng.random() < pairs else _ONE
         shot = self._shot(rng, _SECONDS, _INSTANTS)
         if shot is None:
@@ -100,14 +108,14 @@ class Gym(Studio):
         return matte_of(frame, plate, alpha, rng)
 
     def _fit(self, watched: Watched, rng: np.random.Generator) -> tuple[list[FirstBody], Variables]:
-        """Where a fit begins, and what it has found before its stages of full size."""
+        """Return the fit's first bodies, and its variables before the full-resolution stages."""
         firsts = self._first_bodies(watched.exposures, watched.shot, rng)
         result = fit(watched.seen, firsts, self.body, self.hasty(rng), int(rng.integers(1 << 30)), self.prior)
         betas = torch.from_numpy(result.motion.betas).float()
         return firsts, Variables(result.trajectory, betas, result.texture)
 
     def _drawn(self, found: Variables, seen: Observation) -> torch.Tensor:
-        """A fit's own pictures (T, H, W, 4)."""
+        """Render the fit (T, H, W, 4)."""
         return render_blurred(
             found, seen.camera, body=self.body, rasterizer=self.rasterizer, subframes=preset("best").fit.subframes
         )
@@ -137,13 +145,13 @@ class Gym(Studio):
         return samples
 
     def _guessed(self, first: FirstBody) -> torch.Tensor:
-        """Joints (24, 3) of a first body [m, camera]."""
+        """Return joints (24, 3) of a first body, camera coordinates [m]."""
         return self.mean.joints_of(axis_angle_to_matrix(first.pose)[None], first.translation[None])[0]
 
     def _first_bodies(
         self, exposures: tuple[tuple[int, int], ...], shot: Shot, rng: np.random.Generator
     ) -> list[FirstBody]:
-        """What one static estimator would say: the mean body, erring alike in all frames, a little aside."""
+        """Return a static estimator's bodies: mean shape, the same errors in all frames, slightly displaced."""
         count = len(exposures)
         at = [int(np.clip(round(rng.normal((a + b) / 2, 0.2 * (b - a))), a, b)) for a, b in exposures]
         erring = self.erring(shot.poses[at], draw_turns(count, rng), np.full(count, draw_amplitude(rng)))

@@ -20,12 +20,12 @@ from hfb.training.weight_files import read_weights, write_checkpoint
 
 _ROUND_SHARES = (0.25, 0.5, 1.0)
 _AXES = (1.2, 1.2, 0.6)
-"""What an error weighs across the view and in depth, where the lifting network has a word, too."""
+"""Weights of errors in x, y and depth; the lifting network also estimates depth."""
 _TALL = 0.15
 _APART = 2.0
-"""What the difference of two views weighs beside each of them."""
+"""Weight of the difference of two views relative to each view."""
 _LAST = ("name", "move", "say", "turn", "stature")
-"""What Muon leaves to AdamW."""
+"""Parameters that AdamW trains instead of Muon."""
 _CHECKPOINT_MINUTES = 4.0
 _AVERAGE = 0.998
 
@@ -139,7 +139,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _loss(network: JointNetwork, seen: Batch, options: argparse.Namespace) -> torch.Tensor:
-    """A batch's share of the loss."""
+    """Return a batch's share of the loss."""
     views = seen.pictures.shape[1]
     pictures = seen.pictures.flatten(0, 1).contiguous(memory_format=torch.channels_last)
     with torch.autocast(options.device, dtype=torch.bfloat16, enabled=options.bfloat16):

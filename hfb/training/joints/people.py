@@ -21,7 +21,7 @@ STARTS = 2
 INSTANTS = 11
 _MIXED, _BENT, _FROM_BEHIND = 0.6, 0.5, 0.15
 _PARTS = ((9, 12, 15), (13, 16, 18, 20, 22), (14, 17, 19, 21, 23), (1, 4, 7, 10, 2, 5, 8, 11), (3, 6))
-"""Head, left arm, right arm, both legs, waist: parts that one motion may lend another."""
+"""Head, left arm, right arm, both legs, waist: parts that are exchanged between motions."""
 _BEND_RAD = 0.2
 SECONDS = (0.02, 0.5)
 
@@ -30,7 +30,14 @@ class People:
     """Motions and the body; everything drawn from them is a function of the generator."""
 
     def __init__(self, mocap: Path, clips: list[str], seed: int, frame_px: int) -> None:
-        """Read the named clips."""
+        """Read the named clips.
+
+        Args:
+            mocap: folder of clips, BVH files.
+            clips: names of clips.
+            seed: of the generated motions.
+            frame_px: side of the images [px].
+        """
         self.frame_px = frame_px
         source = open_motions(mocap, seed)
         named = [index for index, name in enumerate(source.names()) if Path(name).stem in clips]
@@ -76,7 +83,7 @@ class People:
         joints: torch.Tensor,
         rng: np.random.Generator,
     ) -> np.ndarray:
-        """Joints in the window of what static estimators would say of some moments of one exposure."""
+        """Return static estimators' joints in the window at some moments of one exposure."""
         return np.stack(
             [
                 self._placed(still, float(joints[row, 0, 2]), truth[1], window, rng)
@@ -108,7 +115,7 @@ class People:
     def _placed(
         self, still: torch.Tensor, distance: float, truth: np.ndarray, window: Window, rng: np.random.Generator
     ) -> np.ndarray:
-        """One of them in its window's units (24, 3), a little beside the truth."""
+        """Return one of them in its window's units (24, 3), slightly displaced from the truth."""
         depth = distance * float(np.exp(rng.normal(0, 0.05)))
         start = window.to_units(still + torch.tensor([0.0, 0.0, depth])).numpy()
         wander = rng.uniform(0, 1) ** 2 * 0.3
@@ -135,7 +142,7 @@ def draw_amplitude(rng: np.random.Generator) -> float:
 
 
 def _bent(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The same motion of somebody who holds every joint a little otherwise, where anatomy lets him."""
+    """Return the motion with every joint offset a little, where anatomy allows."""
     turns = torch.from_numpy(rng.normal(0, _BEND_RAD, (1, 24, 3)) * (np.arange(24) > 0)[None, :, None]).float()
     rotations = axis_angle_to_matrix(torch.from_numpy(poses).float()) @ axis_angle_to_matrix(turns)
     bent = matrix_to_axis_angle(rotations).double().numpy()
@@ -148,7 +155,7 @@ def _bent(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def _piece(
     clip: MotionClip, seconds: float, instants: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Poses and translations at the instants of a random exposure."""
+    """Return poses and translations at the instants of a random exposure."""
     length = (len(clip.poses) - 1) / clip.fps
     seconds = min(seconds, length)
     start = rng.uniform(0, length - seconds)

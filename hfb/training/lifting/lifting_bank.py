@@ -18,7 +18,7 @@ from hfb.training.joints.people import INSTANTS, People, draw_amplitude
 from hfb.training.schedule import Counter
 
 _MATTE_MARGIN = 1.12
-"""How much larger than its joints' box a person's matte is."""
+"""Size of a person's matte relative to the joints' box."""
 _EXPOSURES = ((0, 2, 4), (6, 8, 10))
 """Instants of two exposures: beginning, middle and end."""
 _SECONDS = (0.04, 1.2)
@@ -96,7 +96,7 @@ class Skeletons(People):
     def _exposed(
         self, joints: torch.Tensor, still: torch.Tensor, camera: PlacedCamera, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray, np.float32, np.float32]:
-        """Joints (24, 3) in the middle of one exposure (3, 24, 3), a first guess; a unit in metres, as a tangent."""
+        """Return joints (24, 3) at mid-exposure, a first estimate, and the unit in metres and as a tangent."""
         pixels = camera.lens.project(joints).reshape(-1, 2).numpy()
         low, high = pixels.min(0), pixels.max(0)
         side = 1.24 * _MATTE_MARGIN * float((high - low).max())  # the window's own margin is .12 on either side

@@ -28,34 +28,39 @@ _STEPS_MM = {
     "head": 5,
     "pelvis": 0,
 }
-"""How far a fit's joints are off across the view, added at each joint: measured on 160 frames of held-out motions.
+"""Error that each joint adds in the image plane of a fit [mm]: measured on 160 frames of held-out motions.
 
 16 mm in the mean; 25 until 2026-11-24.
 """
 
 _INHERITED = 0.6
 _TOWARDS_START = 0.15
-"""A parent's share in a joint's error; the largest share of the first guess' error that a fit keeps."""
+"""A parent's share in a joint's error; the largest share of the first estimate's error that a fit keeps."""
 
 _MOVED_AT_MOST_M, _FORGETS_M = 0.25, 0.145
 _STILL, _GROWS_PER_M = 0.65, 5.2
-"""The farther joints move from one frame to the other (mean over joints, from the pelvis) the less the errors' variance
-is the same in both, exp(-moved / .145 m), and the larger errors are. Measured on 791 fitted pairs of held-out motions:
-.94 of the variance is the same and errors are .74 of their mean where joints moved 16 mm, .29 and 1.57 at 175 mm."""
+"""Errors of two frames of a pair: their correlation is exp(-moved / 0.145 m), and their size grows with ``moved``.
+
+``moved`` is the mean path of the joints from one frame to the other, relative to the pelvis. Measured on 791 fitted
+pairs of held-out motions: where joints moved 16 mm, 0.94 of the variance is shared and errors are 0.74 of their mean;
+at 175 mm 0.29 and 1.57.
+"""
 
 _SIZE, _BONE = 0.015, 0.02
-"""How far a fit's bones are off, as logarithms: as far as one unit of the window goes, and each by itself (both sides
-alike). Measured on 74 fitted pairs of held-out motions: 1.5 %, and 1 to 3 % (a piece of the spine 6)."""
+"""Errors of a fit's bone lengths, as logarithms: of the whole body, and of each bone (both sides alike).
+
+Measured on 74 fitted pairs of held-out motions: 1.5 %, and 1 to 3 % (a spine bone 6 %).
+"""
 
 _ROLL_FITS, _SIZES_FITS = 0.25, 0.08
-"""Turns [rad] and sizes (logarithms) of fits."""
+"""Rotations [rad] and sizes (logarithms) with which fits are augmented."""
 _OTHER_CAMERAS, _PERSPECTIVE = 0.35, 0.4
-"""Share of the people as other cameras see them, from afar (0) to near by (a unit is .4 of the distance)."""
+"""Share of the people seen by other cameras, from afar (0) to close by (a unit is 0.4 of the distance)."""
 _PITCH_YAW_ROLL = (0.0, 0.2, 0.15)
 _ASLANT, _PITCH_YAW_ROLL_ASLANT = 0.25, (0.25, 0.2, 0.3)
-"""Turns of whole people [rad]; a share as cameras see them that look down or are held aslant."""
+"""Rotations of whole people [rad]; a share as seen by cameras that look down or are tilted."""
 _LEANING, _LEAN = 0.3, 0.25
-"""Share of first guesses that are tilted as a whole into depth, as real estimators do, and how far [rad]."""
+"""Share of first estimates tilted as a whole into depth, as of real estimators, and the angle [rad]."""
 
 
 @dataclass(frozen=True)
@@ -218,12 +223,12 @@ def augmented(bank: Bank, count: int) -> Bank:
 
 
 def _from_afar(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """Joints (N, 2, 24, 3) from the pelvis without their perspective, but for what hangs on their way to the axis."""
+    """Remove the perspective of joints (N, 2, 24, 3) from the pelvis, except for the part due to the view's axis."""
     return torch.cat([joints[..., :2] * (1 + perspective[..., None, None] * joints[..., 2:]), joints[..., 2:]], -1)
 
 
 def _by_a_camera(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """The way back."""
+    """Apply perspective: the inverse of `_from_afar`."""
     nearer = (1 + perspective[..., None, None] * joints[..., 2:]).clamp_min(0.2)
     return torch.cat([joints[..., :2] / nearer, joints[..., 2:]], -1)
 

@@ -21,12 +21,12 @@ from hfb.training.weight_files import count_parameters, half, publish, read_weig
 
 _ALONE = 0.3
 _COORDINATES = (0.5, 0.5, 2.0)
-"""Weights of x, y and z: a fit asks for depth alone."""
+"""Weights of x, y and z: a fit uses depth alone."""
 _CHECK_EVERY = 500
 
 
 def _looked_at(network: LiftingNetwork, fitted: Fitted, alone: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """What the network says of each first frame, some (alone, (N,) bool) without the second."""
+    """Return the network's output for each first frame, some (alone, (N,) bool) without the second."""
     told = (
         torch.stack([one[:, 0], torch.where(alone.view(-1, *[1] * (one.ndim - 2)), one[:, 0], one[:, 1])], 1)
         for one in fitted.told

@@ -153,7 +153,7 @@ def _frame(left: Float[Array, "S 3"], up: Float[Array, "S 3"]) -> Float[Array, "
 
 
 def _swing(parent: Float[Array, "S 3 3"], rest: Float[Array, "3"], bone: Float[Array, "S 3"]) -> Float[Array, "S 3 3"]:
-    """The parent's rotation followed by the smallest turn that brings the rest bone to its direction."""
+    """Return the parent's rotation followed by the smallest rotation of the rest bone to its direction."""
     source = parent @ (rest / np.linalg.norm(rest))
     target = bone / np.maximum(np.linalg.norm(bone, axis=-1, keepdims=True), 1e-9)
     axis = np.cross(source, target)

@@ -36,7 +36,7 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the bank as one array and its facts beside it.
+    """Write the bank as one array, and facts on its figures as JSON.
 
     Args:
         options: the parsed options.

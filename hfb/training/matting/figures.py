@@ -38,10 +38,10 @@ _SHARP = 0.22  # of all figures stand still
 _LARGEST_SMEAR_PX = 100
 _MOST_INSTANTS = 48
 _ERRORS, _MOTION, _BLUR_PX = (0.005, 0.15), (0.8, 1.05), (0.6, 6.0)
-"""Of doubles: ranges of a network's errors, of how much of the motion is left, of how blurred the texture is."""
+"""Of doubles: ranges of a network's errors, of the share of the motion that is kept, of the texture's blur."""
 _ALIKE = 0.6  # of doubles have the person's clothes: a fit swells to them
 _KEPT, _SHAPE, _ASIDE, _DOUBLES_INSTANTS = 0.95, 0.15, 0.0007, 8
-"""Of doubles: how much of the betas is true, how large their errors are; steps aside, relative to the distance."""
+"""Of doubles: share of the true betas that is kept, scale of their errors; sideways steps relative to the distance."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def draw_figure(
 def _double(
     body: Body, rotations: np.ndarray, places: np.ndarray, betas: torch.Tensor, rng: np.random.Generator
 ) -> torch.Tensor:
-    """Vertices (S, V, 3) of a double, who covers about the same pixels, the further away the taller."""
+    """Return vertices (S, V, 3) of a double who covers about the same pixels: taller if further away."""
     instants, middle = len(rotations), len(rotations) // 2
     at = np.round(middle + rng.uniform(*_MOTION) * np.linspace(-1, 1, _DOUBLES_INSTANTS) * middle)
     at = at.astype(int).clip(0, instants - 1)
@@ -156,7 +156,7 @@ def _double(
 def _shoot(
     painter: Painter, recordings: list[Recording], sharp: bool, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, PinholeCamera, Recording, float, float]:
-    """Rotations and places in camera coordinates, a camera that holds them, the longest path of a joint [px]."""
+    """Return rotations and positions in camera coordinates, the camera, and the longest path of a joint [px]."""
     recording = recordings[rng.integers(len(recordings))]
     exposure_s = min(0.002 if sharp else float(np.exp(rng.uniform(np.log(0.04), np.log(0.5)))), recording.seconds)
     start = rng.uniform(0, recording.seconds - exposure_s)
@@ -178,7 +178,7 @@ def _shoot(
 
 
 def _garments(painter: Painter, rng: np.random.Generator) -> np.ndarray:
-    """(F, 9): which garment a face shows; rows add up to 1, the things in the hands have no faces."""
+    """Return (F, 9): the garment of each face; rows sum to 1, things in the hands have no faces."""
     names, centre = np.array(JOINT_NAMES)[painter.joint_of_face], painter.centre_of_face
     worn = np.zeros((len(names), len(GARMENTS)))
     head = names == "head"
@@ -201,7 +201,7 @@ def _garments(painter: Painter, rng: np.random.Generator) -> np.ndarray:
 
 
 def _pattern(centre_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Share of the second colour: none, stripes, checks, spots, clouds or grain, in the rest body's coordinates."""
+    """Return the share of the second colour: none, stripes, checks, spots, clouds or grain, in rest coordinates."""
     kind = rng.choice(list(_PATTERNS), p=list(_PATTERNS.values()))
     direction = rng.normal(size=3) if rng.random() < 0.3 else np.eye(3)[rng.integers(2)]
     phase = 2 * np.pi / np.exp(rng.uniform(np.log(0.03), np.log(0.25))) * centre_m
@@ -221,7 +221,7 @@ def _pattern(centre_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _shade(painter: Painter, vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(F,): light from one direction and from everywhere, at the middle of the exposure."""
+    """Return (F,): light from one direction and ambient light, at the middle of the exposure."""
     corners = vertices[painter.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -261,7 +261,7 @@ def _draw_things(joints_px: np.ndarray, rng: np.random.Generator) -> list[tuple[
 
 
 def _thing(kind: str, at: dict[str, np.ndarray], size: float, rng: np.random.Generator) -> list[np.ndarray]:
-    """Polygons, each (S, corners, 2) [px]."""
+    """Return polygons, each (S, corners, 2) [px]."""
     side = str(rng.choice(["left", "right"]))
     if kind in ("skirt", "cape"):
         top, bottom = ("hip", rng.choice(["knee", "ankle"])) if kind == "skirt" else ("shoulder", "knee")
@@ -325,7 +325,7 @@ def _render(
     camera: PinholeCamera,
     things: list[tuple[bool, np.ndarray]],
 ) -> np.ndarray:
-    """(CHANNELS, H, W): the mean over the instants, things before and behind the body."""
+    """Return (CHANNELS, H, W): the mean over the instants, things before and behind the body."""
     channels = np.zeros((CHANNELS, SIZE_PX, SIZE_PX), np.float32)
     if not things:
         for number, texture in enumerate(textures):

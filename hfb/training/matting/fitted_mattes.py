@@ -1,9 +1,9 @@
 """Draw fits that mattes are learned from: `hfb train matting-fits --mocap DIR --backgrounds DIR --out f.npy`.
 
-For the matte's third network (`hfb train matting --third --fits f.npy`): a picture, its plate, the matte that
-the first two networks find, what a fit of these makes of it before its stages of full size, and the truth. A fit errs
-where its matte does, and its texture takes the plate's colours where its body stands before the plate by mistake: no
-double (`hfb train matting-bank --doubles`) does.
+For the third matting network (`hfb train matting --third --fits f.npy`): an image, its plate, the matte of the first
+two networks, the rendering of a fit to these before the full-resolution stages, and the truth. A fit is wrong where its
+matte is, and its texture takes the plate's colours where its body wrongly covers the plate. Doubles
+(`hfb train matting-bank --doubles`) lack this correlation.
 """
 
 import argparse
@@ -69,7 +69,7 @@ class MattingGym(Gym):
 
 
 def _cut(layers: np.ndarray, matte: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A square around the person, not scaled where it fits."""
+    """Cut a square around the person, unscaled where it fits."""
     top, left, bottom, right = matte_region(matte, margin=_MARGIN)
     side = max(bottom - top, right - left, SIZE_PX)
     corner = [round((a + b - side) / 2 + rng.normal(0, 4)) for a, b in ((top, bottom), (left, right))]

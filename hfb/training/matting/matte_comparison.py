@@ -2,7 +2,7 @@
 
 The same composites (`pairs`) for every method: ours, the known-background projection, the normalised difference, and,
 where PyMatting (MIT) can be imported, its closed-form and KNN mattes with a trimap from the difference.
-Textures and backgrounds are those that training never saw.
+Textures and backgrounds are held out of training.
 """
 
 import argparse
@@ -114,7 +114,7 @@ def _method(name: str, weights: Path | None) -> Method:
 
 
 def _asked(method: Method, pair: Pair) -> np.ndarray:
-    """The method's matte; empty where it refuses."""
+    """Return the method's matte; empty where it fails."""
     try:
         return method(pair.scene.frame, pair.scene.plate)
     except InputError:

@@ -46,12 +46,12 @@ _CLOSE = Difficulty(
     slide_share=0.45,
     picture_share=0.15,
 )
-"""The second network sees the box around the person."""
+"""Scenes of the second network, which sees the box around the person."""
 _SAVED_MINUTES = 2.0
 _CHANNELS = {1: CHANNELS, 2: CHANNELS + EVIDENCE_CHANNELS, 3: SHARED_CHANNELS + FIT_CHANNELS}
-"""Of the first, second and third network."""
+"""Input channels of the first, second and third network."""
 _OF_FITS = 0.6
-"""Of the third network's pictures, where there are fits; the others have what no body model wears."""
+"""Share of fits in the third network's images, where given; the others have things that no body model wears."""
 
 
 class Scenes(IterableDataset[torch.Tensor]):
@@ -60,6 +60,16 @@ class Scenes(IterableDataset[torch.Tensor]):
     def __init__(
         self, banks: list[Path], photos: list[Path], size_px: int, seed: int, look: int, fits: list[Path]
     ) -> None:
+        """Take the sources of scenes; files are read by each loader process.
+
+        Args:
+            banks: files of matting-bank.
+            photos: folders of backgrounds.
+            size_px: side of the scenes [px].
+            seed: of the random numbers.
+            look: the network to train: 1, 2 or 3.
+            fits: files of matting-fits, for the third network.
+        """
         self.banks, self.fits, self.photos = banks, fits, photos
         self.size_px, self.seed, self.look = size_px, seed, look
 
@@ -87,7 +97,7 @@ class Scenes(IterableDataset[torch.Tensor]):
 
 
 def _of_fit(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A row of `fitted_mattes` as the third network sees it, and alpha."""
+    """Return a row of `fitted_mattes` as the third network's input, and alpha."""
     row = rows[rng.integers(len(rows))]
     while not row[-1].any():  # a bank that is still being drawn
         row = rows[rng.integers(len(rows))]
@@ -98,7 +108,7 @@ def _of_fit(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _looked(scene: Scene, seen: np.ndarray, look: int) -> np.ndarray:
-    """What the shipped networks before it make known about a scene; the third also sees the double."""
+    """Return a scene's input with the outputs of the networks before; the third also gets the double."""
     alpha, doubt = _answer(shipped_network(), seen)
     seen_twice = np.concatenate([seen, colour_evidence(scene.frame, scene.plate, alpha, doubt)])
     if look == 2:
@@ -266,7 +276,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _begun(options: argparse.Namespace, channels: int) -> MatteNetwork:
-    """A network that begins at random, with what ships, or with an earlier state."""
+    """Return a network initialised at random, with the shipped weights, or with an earlier state."""
     if options.go_on:
         network = MatteNetwork(WIDTHS, channels=channels)
     else:

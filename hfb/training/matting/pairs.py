@@ -62,7 +62,7 @@ def draw_pairs(bank: Path, plates: list[np.ndarray], photos: list[np.ndarray], p
 
 
 def _cut(picture: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
-    """A square of a photograph in linear light, (side, side, 3)."""
+    """Cut a square of a photograph in linear light, (side, side, 3)."""
     whole = min(picture.shape[:2])
     size = int(whole * rng.uniform(0.6, 1))
     top, left = (int(rng.integers(0, room + 1)) for room in (picture.shape[0] - size, picture.shape[1] - size))
@@ -73,7 +73,7 @@ def _cut(picture: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray
 def _layers(
     channels: np.ndarray, kind: str, photo: np.ndarray, plate: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """(SIZE_PX, SIZE_PX, 4): premultiplied light, and coverage."""
+    """Return (SIZE_PX, SIZE_PX, 4): premultiplied light, and coverage."""
     alpha = channels[0].astype(np.float32)[..., None] / 255
     if kind.endswith("photograph"):
         return np.concatenate([photo * alpha, alpha], -1)
@@ -85,7 +85,7 @@ def _layers(
 
 
 def _placed(layers: np.ndarray, scale: float, smear_px: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled, put near the middle, smeared along a straight line: (premultiplied light, alpha), SIDE_PX square."""
+    """Return a scaled figure near the middle, smeared along a line: (premultiplied light, alpha), SIDE_PX square."""
     offset = (SIDE_PX - scale * SIZE_PX) / 2 + rng.uniform(-8, 8, 2)
     matrix = np.array([[scale, 0, offset[0]], [0, scale, offset[1]]])
     placed = cv2.warpAffine(layers.astype(np.float32), matrix, (SIDE_PX, SIDE_PX), flags=cv2.INTER_LINEAR)
@@ -103,7 +103,7 @@ def _line(length_px: float, angle_rad: float) -> np.ndarray:
 def _photographed(
     colour: np.ndarray, alpha: np.ndarray, plate: np.ndarray, trouble: str, rng: np.random.Generator
 ) -> Scene:
-    """Frame and plate as a camera gives them: always shot noise and eight bits, and one trouble or all of them."""
+    """Simulate the camera: always shot noise and eight bits, and one defect or all of them."""
     has = {trouble} if trouble != "all" else set(TROUBLES)
     lit = plate * cast_shadows(alpha, rng) if "shadow" in has else plate
     frame = colour + (1 - alpha[..., None]) * lit

@@ -115,8 +115,7 @@ def _draw_plate(plates: list[list[np.ndarray]], size: int, rng: np.random.Genera
 def _place(
     figures: np.ndarray, plate: np.ndarray, picture: np.ndarray | None, rules: Difficulty, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return premultiplied colour and coverage of a figure at a random place; then of its double, where the bank has
-    doubles.
+    """Return premultiplied colour and coverage of a figure at a random place, then of its double where there is one.
 
     Args:
         figures: a bank (N, CHANNELS, H, W).
@@ -268,7 +267,7 @@ def cast_shadows(alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _reflected(lit: np.ndarray, colour: np.ndarray, alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A shining floor: the figure upside down below its feet, blurred and faint; no part of the figure."""
+    """Add the reflection of a glossy floor: the figure upside down below its feet, blurred and faint."""
     rows = np.flatnonzero((alpha > 0.2).any(1))
     if not rows.size:
         return lit
@@ -283,7 +282,7 @@ def _reflected(lit: np.ndarray, colour: np.ndarray, alpha: np.ndarray, rng: np.r
 
 
 def _flutter(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Leaves, curtains, water: a patch of the background moves by a pixel or two."""
+    """Move a patch of the background by a pixel or two: leaves, curtains, water."""
     size = len(picture)
     grain = rng.normal(0, 1, (size, size, 2)).astype(np.float32)
     field: np.ndarray = cv2.GaussianBlur(grain, (0, 0), rng.uniform(2, 6))

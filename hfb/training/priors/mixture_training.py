@@ -29,7 +29,7 @@ class Mixture:
 
 
 def mirrored_poses(poses: Float[Array, "n 69"]) -> Float[Array, "n 69"]:
-    """The same poses in a mirror, left and right exchanged.
+    """Mirror poses: left and right are exchanged.
 
     Args:
         poses: axis-angle below the root [rad].
@@ -50,7 +50,7 @@ def train_mixture(
     Args:
         poses: axis-angle of joints 1 to 23 [rad].
         spec: components and iterations.
-        seed: of everything random.
+        seed: of the random numbers.
         on_iteration: called with the iterations done and their total.
 
     Raises:
@@ -76,7 +76,7 @@ def train_mixture(
 
 
 def log_densities(poses: Float[Array, "n 69"], mixture: Mixture) -> Float[Array, "n k"]:
-    """log(w_k N(pose; mu_k, Sigma_k)) of every pose and Gaussian; their logsumexp is the pose's log likelihood.
+    """Return log(w_k N(pose; mu_k, Sigma_k)) of every pose and Gaussian; logsumexp gives a pose's log likelihood.
 
     Args:
         poses: axis-angle below the root [rad].
@@ -94,7 +94,7 @@ def log_densities(poses: Float[Array, "n 69"], mixture: Mixture) -> Float[Array,
 def _maximised(
     poses: Float[Array, "n 69"], shares: Float[Array, "n k"], floor: Float[Array, "69 69"], history: list[float]
 ) -> Mixture:
-    """The mixture that suits these shares best; one that lost its poses keeps a little of everything."""
+    """Return the mixture of highest likelihood for these shares; an empty component keeps a little of everything."""
     shares = shares + 1e-9
     counts = shares.sum(0)
     means = shares.T @ poses / counts[:, None]
@@ -106,7 +106,7 @@ def _maximised(
 
 
 def _spread_out(poses: Float[Array, "n 69"], count: int, generator: np.random.Generator) -> Float[Array, "k 69"]:
-    """First centres far from each other: k-means++ (Arthur & Vassilvitskii 2007)."""
+    """Choose first centres far from each other: k-means++ (Arthur & Vassilvitskii 2007)."""
     centres = [poses[generator.integers(len(poses))]]
     distance = ((poses - centres[0]) ** 2).sum(1)
     while len(centres) < count:
@@ -118,7 +118,7 @@ def _spread_out(poses: Float[Array, "n 69"], count: int, generator: np.random.Ge
 
 
 def _nearest(poses: Float[Array, "n 69"], centres: Float[Array, "k 69"], rounds: int = 10) -> Float[Array, "n k"]:
-    """Shares of one for the nearest centre, after a few rounds of k-means."""
+    """Return shares of one for the nearest centre, after a few rounds of k-means."""
     for _ in range(rounds):
         distances = (poses**2).sum(1)[:, None] - 2 * poses @ centres.T + (centres**2).sum(1)
         shares = (distances.argmin(1)[:, None] == np.arange(len(centres))).astype(float)

@@ -1,9 +1,8 @@
 """Corrupted motions: what the discriminator learns to detect, and the corrector to repair.
 
-The paper reverses random joints in time, c(u) -> c(1 - u). Here whole limbs are reversed too, each with even odds, as
-that is what one picture leaves open; and some columns are made unrealistic in other ways. Besides, motions get the
-errors of a fit, which are nobody's fault and have no label: a discriminator that learned from true motions alone looks
-for details in which a fitted motion is always wrong.
+The paper reverses random joints in time, c(u) -> c(1 - u). Here whole limbs are reversed, too, each with even odds:
+the ambiguity of a single image. Some columns are made unrealistic in other ways. Motions also get the errors of a fit,
+without a label: otherwise a discriminator trained on true motions detects errors that every fit has.
 """
 
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ _TURN_RAD = 0.17
 """Spread of a joint's rotation at mid-exposure about each axis."""
 
 _LEAST_TURNING, _LEAST_GOING = 0.1, 0.5
-"""Shares of the true rotations' and of the true translation's change that the least lively fits find."""
+"""Smallest shares of the true change of rotations and of the translation that fits find."""
 
 _TURNING_NOISE, _GOING_NOISE_M = 0.15, (0.34, 0.63)
 """Noise of every entry of a rotation's coefficients, and of a translation's linear and quadratic ones.
@@ -35,7 +34,7 @@ In units of how fast the body's joints turn: the root mean square over the joint
 """
 
 _STILL = 0.01
-"""A body turns at least so fast, in these units."""
+"""Smallest rotation speed of a body, in these units."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Corrupted:
         columns: C as corrupted.
         clean: C before anything was reversed or made unrealistic.
         backwards: columns that run backwards; meaningless where a column is unrealistic.
-        unrealistic: columns that are wrong in another way.
+        unrealistic: columns that were corrupted in another way.
         whole: 1 where the whole body runs backwards, 0 where all of it runs forwards, NaN where its parts disagree.
     """
 
@@ -58,7 +57,7 @@ class Corrupted:
 
 
 def mirrored_columns(columns: Float[Tensor, "T 3 25 4"]) -> Float[Tensor, "T 3 25 4"]:
-    """The same motion in a mirror, left and right exchanged.
+    """Mirror motions: left and right are exchanged.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
@@ -69,11 +68,11 @@ def mirrored_columns(columns: Float[Tensor, "T 3 25 4"]) -> Float[Tensor, "T 3 2
 
 
 def corrupt(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Corrupted:
-    """Make a batch of true motions wrong.
+    """Corrupt a batch of true motions.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
-        generator: of everything random.
+        generator: draws the corruption.
     """
     clean = with_errors_of_a_fit(columns, generator)
     backwards, whole = draw_reversals(len(columns), generator)
@@ -83,11 +82,11 @@ def corrupt(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> C
 
 
 def draw_reversals(count: int, generator: torch.Generator) -> tuple[Bool[Tensor, "T 25"], Float[Tensor, "T"]]:
-    """Which columns run backwards, and whether all of them do (see `Corrupted`).
+    """Draw which columns run backwards, and whether all of them do (see `Corrupted`).
 
     Args:
-        count: of motions.
-        generator: of everything random.
+        count: number of motions.
+        generator: draws the corruption.
     """
     limbs = torch.zeros(count, COLUMN_COUNT, dtype=torch.bool)
     for members in LIMBS.values():
@@ -103,11 +102,11 @@ def draw_reversals(count: int, generator: torch.Generator) -> tuple[Bool[Tensor,
 
 
 def with_errors_of_a_fit(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Float[Tensor, "T 3 25 4"]:
-    """True motions as fits of one blurred picture find them: poses turned, motions weaker and partly others.
+    """Add the errors of a fit to one blurred image: rotated poses, and weaker and noisy motions.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
-        generator: of everything random.
+        generator: draws the corruption.
     """
     count = len(columns)
     turn, noise = _normals(columns, generator, count, JOINT_COUNT, 3), _normals(columns, generator, count, 2, 25, 4)
@@ -127,7 +126,7 @@ def with_errors_of_a_fit(columns: Float[Tensor, "T 3 25 4"], generator: torch.Ge
 
 
 def _unrealistic(columns: Tensor, generator: torch.Generator) -> tuple[Tensor, Bool[Tensor, "T 25"]]:
-    """Some columns scaled, exchanged with another motion's, or replaced by noise."""
+    """Scale some columns, exchange them with another motion's, or replace them by noise."""
     count = len(columns)
     which = torch.rand(count, COLUMN_COUNT, generator=generator) < 0.15 * torch.rand(count, 1, generator=generator)
     which &= torch.rand(count, 1, generator=generator) < _UNREALISTIC_SHARE
@@ -144,7 +143,7 @@ def _unrealistic(columns: Tensor, generator: torch.Generator) -> tuple[Tensor, B
 
 
 def _turned(rotations: Tensor, by: Tensor) -> Tensor:
-    """Quaternion polynomials turned by rotation vectors [rad] in the parent's frame."""
+    """Rotate quaternion polynomials by rotation vectors [rad] in the parent's frame."""
     return multiply_quaternions(axis_angle_to_quaternion(by)[:, None].expand_as(rotations), rotations)
 
 

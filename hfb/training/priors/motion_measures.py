@@ -15,7 +15,7 @@ EXPOSURES_S: tuple[float, ...] = (0.03, 0.06, 0.12, 0.25, 0.5)
 """Edges of the intervals of exposure time."""
 
 _MOVING_M = 0.03
-"""Joints that go less far during the exposure are not asked for their direction: it hardly matters."""
+"""Joints with a shorter path during the exposure do not count: their direction hardly matters."""
 
 _JOINTS = COLUMN_COUNT - 1
 Measures = dict[str, float | None]
@@ -35,20 +35,20 @@ def measure_motion_prior(
         discriminator: trained.
         corrector: trained.
         columns: motion in the body's own frame, see `motion_columns`.
-        exposure_s: of every motion.
-        seed: of everything random.
+        exposure_s: exposure of every motion.
+        seed: of the random numbers.
 
     Returns:
         ``count``; ``all`` and ``by_exposure`` (a list, in the order of `EXPOSURES_S`) with
 
         - ``whole_body``: share of motions whose direction as a whole is known; ``whole_body_cross_entropy``;
         - ``joint``, and per limb: share of joints that move visibly whose direction is known, when the direction of
-          every limb was drawn by itself;
-        - ``joint_cross_entropy``: of those (log 2 = 0.693 is knowing nothing);
+          every limb was drawn independently;
+        - ``joint_cross_entropy``: of those (log 2 = 0.693 for a coin);
         - ``whole_body_estimated``, ``joint_estimated``, ``joint_estimated_cross_entropy``: the same of motions with the
           errors of a fit;
-        - ``indicator``: share of entries told apart into realistic and unrealistic, reversed ones included, among
-          motions made wrong as in training, each kind weighing the same;
+        - ``indicator``: share of entries classified correctly as realistic or unrealistic (reversed ones included),
+          among motions corrupted as in training, each kind with the same weight;
         - ``coefficients_wrong``, ``coefficients_corrected``: mean L1 distance of C from the truth before and after G;
         - ``adversarial_true``, ``adversarial_reversed``: L_A of true motions, and of those with limbs reversed.
         None where there is nothing to measure.
@@ -74,7 +74,7 @@ def measure_motion_prior(
 def _values(
     discriminator: Discriminator, corrector: Corrector, columns: Tensor, generator: torch.Generator
 ) -> dict[str, Callable[[Tensor], float | None]]:
-    """Each measure as a function of which motions count."""
+    """Return each measure as a function of a selection of motions."""
     rest = mean_rest_joints()
     u = torch.tensor([0.0, 1.0])
     rotations, translations = at_instants(columns, u)
@@ -112,7 +112,7 @@ def _values(
 
 
 def _against(logits: Tensor, backwards: Tensor) -> tuple[Tensor, Tensor]:
-    """Which joints' directions are known, and the cross entropies."""
+    """Return which joints' directions are known, and the cross entropies."""
     logits, backwards = logits[:, :_JOINTS], backwards[:, :_JOINTS]
     entropy = torch.nn.functional.binary_cross_entropy_with_logits(logits, backwards.to(logits), reduction="none")
     return (logits > 0) == backwards, entropy
@@ -121,7 +121,7 @@ def _against(logits: Tensor, backwards: Tensor) -> tuple[Tensor, Tensor]:
 def _with_corruption(
     discriminator: Discriminator, corrector: Corrector, columns: Tensor, generator: torch.Generator
 ) -> dict[str, Callable[[Tensor], float | None]]:
-    """Measures on motions made wrong as in training."""
+    """Return measures on motions corrupted as in training."""
     batch = corrupt(columns, generator)
     backwards, unrealistic, _ = discriminator(batch.columns, mean_rest_joints())
     corrected = corrector(batch.columns, backwards, unrealistic)
@@ -141,7 +141,7 @@ def _with_corruption(
 
 
 def _share(values: Tensor, counted: Tensor | None = None) -> Callable[[Tensor], float | None]:
-    """The mean of those that count, as a function of which motions do."""
+    """Return the mean of the counted values as a function of a selection of motions."""
 
     def mean(which: Tensor) -> float | None:
         chosen = values[which] if counted is None else values[which][counted[which]]

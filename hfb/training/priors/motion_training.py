@@ -15,12 +15,12 @@ from hfb.training.priors.training_spec import MotionTraining
 from hfb.typing import Float, Tensor
 
 LOSSES = ("indicator", "coefficients", "poses", "joints")
-"""The paper's: cross entropy of the indicator, L1 of C, L2 of the poses, MPJPE [m]."""
+"""The paper's losses: cross entropy of the indicator, L1 of C, L2 of the poses, MPJPE [m]."""
 
 _WEIGHTS = {"indicator": 1.0, "coefficients": 5.0, "poses": 1.0, "joints": 2.0}
 _LEAST_SPREAD = 0.05
 _LEAST_COEFFICIENT = 0.02
-"""Entries of C that hardly vary in the recordings are not blown up to more than these allow."""
+"""Smallest scale of entries of C that hardly vary in the recordings."""
 
 # (epoch, of how many, mean losses of the epoch)
 OnEpoch = Callable[[int, int, dict[str, float]], None]
@@ -38,12 +38,12 @@ class TrainedMotionPrior:
 def train_motion_prior(
     columns: Float[Tensor, "n 3 25 4"], spec: MotionTraining, seed: int, on_epoch: OnEpoch | None = None
 ) -> TrainedMotionPrior:
-    """Train on true motions' C; every batch is mirrored and made wrong anew. The same seed gives the same weights.
+    """Train on true motions' C; every batch is mirrored and corrupted anew. The same seed gives the same weights.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
         spec: sizes, epochs and rates.
-        seed: of everything random.
+        seed: of the random numbers.
         on_epoch: called with the epochs done and their total.
 
     Raises:
@@ -80,7 +80,7 @@ def train_motion_prior(
 
 
 def _step(optimizer: torch.optim.Optimizer, losses: dict[str, Float[Tensor, ""]]) -> None:
-    """One step down the weighted sum of the losses."""
+    """Take one step down the weighted sum of the losses."""
     total = torch.stack([_WEIGHTS[name] * losses[name] for name in LOSSES]).sum()
     if not torch.isfinite(total):
         raise FloatingPointError(f"the training's loss is not a number any more: {losses}")
@@ -92,11 +92,11 @@ def _step(optimizer: torch.optim.Optimizer, losses: dict[str, Float[Tensor, ""]]
 
 
 def set_scales(discriminator: Discriminator, corrector: Corrector, columns: Float[Tensor, "n 3 25 4"]) -> None:
-    """Means and spreads of what the networks see; first differences have mean zero, as reversal demands.
+    """Set means and scales of the networks' input; first differences have mean zero, as reversal demands.
 
     Args:
-        discriminator: to set.
-        corrector: to set.
+        discriminator: changed in place.
+        corrector: changed in place.
         columns: motion in the body's own frame, see `motion_columns`.
     """
     some = columns[:: max(len(columns) // 8000, 1)]
@@ -112,14 +112,14 @@ def set_scales(discriminator: Discriminator, corrector: Corrector, columns: Floa
 
 
 def motion_losses(discriminator: Discriminator, corrector: Corrector, batch: Corrupted) -> dict[str, Float[Tensor, ""]]:
-    """The four losses of a batch.
+    """Return the four losses of a batch.
 
-    The indicator reaches G as a given: D answers for its cross entropy alone, so that its odds stay honest ones.
+    The indicator is detached in G's input: D is trained by its cross entropy alone, so that its odds stay calibrated.
 
     Args:
         discriminator: in training.
         corrector: in training.
-        batch: motions.
+        batch: corrupted motions.
     """
     rest = mean_rest_joints().to(batch.columns)
     backwards, unrealistic, whole = discriminator(batch.columns, rest)
@@ -135,7 +135,7 @@ def motion_losses(discriminator: Discriminator, corrector: Corrector, batch: Cor
 
 
 def _indicator_loss(backwards: Tensor, unrealistic: Tensor, whole: Tensor, batch: Corrupted) -> Float[Tensor, ""]:
-    """Binary cross entropies of both indicators and of the whole body's direction, each where it has an answer."""
+    """Return binary cross entropies of both indicators and of the whole body's direction, each where defined."""
     realistic = ~batch.unrealistic
     agreed = ~torch.isnan(batch.whole)
     entropy = functional.binary_cross_entropy_with_logits
@@ -152,6 +152,6 @@ def _posed(columns: Tensor, u: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _some_mirrored(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Float[Tensor, "T 3 25 4"]:
-    """Half of the motions, as a mirror shows them."""
+    """Mirror half of the motions."""
     mirrored = torch.rand(len(columns), 1, 1, 1, generator=generator) < 0.5
     return torch.where(mirrored, mirrored_columns(columns), columns)

@@ -19,7 +19,7 @@ _FPS, _FRAMES = 30, 45
 
 
 def turn(axis: str, degrees: float) -> list[float]:
-    """w first."""
+    """Return a quaternion, w first."""
     return Rotation.from_euler(axis, degrees, degrees=True).as_quat(scalar_first=True).tolist()
 
 

@@ -67,7 +67,7 @@ def toml(value: Any) -> str:
 
 
 def square_moments(prediction: Prediction) -> np.ndarray:
-    """x and y of joint 1 at every row: the red square's position times its share of red light."""
+    """Return x and y of joint 1 at every row: the red square's position times its share of red light."""
     assert prediction.motion is None
     assert prediction.joints is not None
     return prediction.joints[:, 1, :2]

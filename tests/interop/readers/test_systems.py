@@ -138,7 +138,7 @@ def test_without_tram_s_camera_the_diagonal_is_assumed(tmp_path: Path) -> None:
 
 
 def test_amass_is_upright_but_nowhere(tmp_path: Path) -> None:
-    """z up: someone who stands in a z-up world stands in the picture."""
+    """A person who stands in a z-up world stands in the image."""
     poses = np.zeros((3, 156))
     poses[:, 0] = np.pi / 2  # from the rest pose's y up to z up
     np.savez(tmp_path / "walk_poses.npz", poses=poses, trans=np.zeros((3, 3)), mocap_framerate=120.0)

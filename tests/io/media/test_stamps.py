@@ -153,8 +153,10 @@ def test_a_count_does_not_hide_damage(tmp_path: Path) -> None:
 
 
 def trimmed(whole: Path, cut: Path, first: int) -> Path:
-    """Without encoding anew, as `ffmpeg -ss -c copy` does: packets from the key frame before `first` on, and a list of
-    edits that hides the ones before it."""
+    """Cut without re-encoding, as `ffmpeg -ss -c copy` does.
+
+    Packets from the key frame before `first` on are copied, and an edit list hides those before it.
+    """
     with av.open(str(whole)) as source, av.open(str(cut), "w", options={"movflags": "faststart"}) as target:
         stream = source.streams.video[0]
         copy = target.add_stream_from_template(stream)

@@ -27,8 +27,10 @@ def picture(number: int, size: tuple[int, int] = SIZE) -> np.ndarray:
 
 @contextmanager
 def _as_urgent_as_before() -> Iterator[None]:
-    """Root's process is of real-time priority once SVT-AV1 has encoded in it; what spins there later (MKL does, when
-    threads end) starves the one that it waits for, and everything else on the machine."""
+    """Restore the process's priority: SVT-AV1 gives root's process a real-time one.
+
+    A later busy wait in it, such as MKL's when threads end, would starve the thread that it waits for, and the machine.
+    """
     if sys.platform != "linux":
         yield
         return

@@ -11,7 +11,7 @@ guard | l_arm 48, wide 8, l_elbow 108, r_arm 42, r_elbow 118, l_hip 22, knee 24,
         twist -18, nod 6, yaw -14
 crouch | hip 46, knee 72, toes 22, bend 26, pitch 14
 """
-"""Where other poses start from; guard and crouch are themselves changes of standing."""
+"""Base poses of the other poses; guard and crouch are themselves changes of standing."""
 
 MOVEMENTS = """
 walk: 1.05 s, mirrored

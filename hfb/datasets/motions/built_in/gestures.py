@@ -1,4 +1,4 @@
-"""Movements by their key poses, in the words of anatomy: what the built-in motions are made of.
+"""Movements as anatomical key poses, from which the built-in motions are made.
 
 Angles in degrees from standing upright with hanging arms: a thigh or an arm goes `forward`, `out` to its side and is
 `turn`-ed outwards; a knee and an elbow bend; toes go `up`; the trunk bends forward, leans to its left, turns to its
@@ -41,7 +41,7 @@ class Gesture:
     """One cycle of a movement.
 
     Attributes:
-        seconds: how long a cycle takes.
+        seconds: length of a cycle.
         keys: (share of the cycle until the next key, the pose as differences from standing).
         mirrored: the second half of the cycle is the first one with left and right exchanged.
         turning: degrees that the body has turned to its left after a cycle.
@@ -55,7 +55,7 @@ class Gesture:
 
 
 def _read_pose(text: str) -> dict[str, float]:
-    """Channel by channel; a first word without a number is a stance, a limb's word without a side means both."""
+    """Parse a pose channel by channel; a first word without a number is a stance, a limb without a side means both."""
     pose: dict[str, float] = {}
     for item in text.split(","):
         word, _, number = item.strip().partition(" ")
@@ -67,12 +67,12 @@ def _read_pose(text: str) -> dict[str, float]:
 
 
 def _read_lines(text: str) -> list[str]:
-    """Lines with those that continue them."""
+    """Join lines with their continuations."""
     return re.sub(r"\n {8,}", " ", text.strip("\n")).splitlines()
 
 
 def _read_movements(text: str) -> tuple[Gesture, ...]:
-    """The book's movements, in its order."""
+    """Parse the book's movements, in its order."""
     heads: list[str] = []
     keys: list[list[tuple[float, dict[str, float]]]] = []
     for line in _read_lines(text):

@@ -26,7 +26,7 @@ from hfb.typing import Array, Float
 
 FPS = 120.0
 _ROUNDS = 2
-"""How often each gesture appears: with other tempo, size, side and small deviations."""
+"""Number of appearances of each gesture, with different tempo, size, side and small deviations."""
 _MIXED = 12
 """Clips that take the legs of one gesture and the arms and trunk of another."""
 
@@ -35,12 +35,16 @@ _KEY_NOISE_DEG = 3.5
 _SOFT_DEG = 4.0
 _FEET = tuple(JOINT_NAMES.index(name) for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 _SOLE_M = (0.07, 0.07, 0.02, 0.02)
-"""How far below each of these joints the sole is."""
+"""Distance of the sole below each of these joints."""
 _CONTACT_M = 0.015
 
 
 class ProceduralMotions:
-    """A `MotionSource` whose clips are functions of the seed and their number alone."""
+    """A `MotionSource` whose clips are functions of the seed and their number alone.
+
+    Args:
+        seed: seed of all clips.
+    """
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
@@ -64,7 +68,7 @@ class ProceduralMotions:
         """Make one motion: 2.2 to 4 s at 120 frames per second.
 
         Args:
-            index: of `names`.
+            index: number of the motion in `names`.
         """
         name, legs, arms = self._plans[index]
         rng = np.random.default_rng(np.random.SeedSequence([self._seed, index]))
@@ -82,7 +86,7 @@ class ProceduralMotions:
 
 
 def _perform(gesture: Gesture, times_s: Float[Array, "F"], rng: np.random.Generator) -> Float[Array, "F 30"]:
-    """The gesture again and again: every key pose a little different each time, at a tempo and size of its own."""
+    """Repeat the gesture: every key pose varies a little, with a random tempo and size."""
     seconds = gesture.seconds / rng.uniform(0.9, 1.3)
     size = rng.uniform(0.85, 1.1)
     start = rng.uniform(0, seconds)
@@ -110,7 +114,7 @@ def _pose(changes: dict[str, float], size: float) -> Float[Array, "30"]:
 
 
 def _mirror(angles: Float[Array, "*n 30"]) -> Float[Array, "*n 30"]:
-    """Left and right exchanged."""
+    """Exchange left and right."""
     mirrored = angles.copy()
     mirrored[..., SIDED] *= -1
     left = slice(TRUNK_COUNT, TRUNK_COUNT + LIMB_COUNT)
@@ -120,7 +124,7 @@ def _mirror(angles: Float[Array, "*n 30"]) -> Float[Array, "*n 30"]:
 
 
 def _within_ranges(angles: Float[Array, "F 30"]) -> Float[Array, "F 30"]:
-    """Smoothly into every joint's range: unchanged well inside, never beyond."""
+    """Limit angles smoothly to every joint's range: unchanged well inside, never beyond."""
     low, high = np.array([RANGES[name.removeprefix("l_").removeprefix("r_")] for name in CHANNELS]).T
     soft = np.where(np.array(CHANNELS) == "hop", 1e-3, _SOFT_DEG)
     above = low + soft * np.logaddexp(0, (angles - low) / soft)
@@ -141,7 +145,7 @@ def _chain(*turns: Float[Array, "F 4"]) -> Float[Array, "F 4"]:
 
 
 def _rotations(angles: Float[Array, "F 30"]) -> Float[Array, "F 24 4"]:
-    """The words of anatomy as SMPL's joint rotations (see the signs in `hfb.priors.anatomy`)."""
+    """Convert anatomical angles to SMPL's joint rotations (see the signs in `hfb.priors.anatomy`)."""
     word = {name: angles[:, column] for column, name in enumerate(CHANNELS)}
     local = np.zeros((len(angles), len(JOINT_NAMES), 4))
     local[..., 0] = 1
@@ -173,7 +177,7 @@ def _rotations(angles: Float[Array, "F 30"]) -> Float[Array, "F 24 4"]:
 
 
 def _travel(local: Float[Array, "F 24 4"], hop_m: Float[Array, "F"]) -> Float[Array, "F 3"]:
-    """Where the body goes: the lowest foot is on the ground but for hops, and stays where it stands."""
+    """Return the body's translation: the lowest foot is on the ground except in hops, and stays where it stands."""
     rest = rest_joints()
     world = to_world(local)
     joints = joint_positions(world, np.zeros((len(local), 3)), rest)

@@ -25,13 +25,15 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class BvhMotion:
-    """What the file says, in its own units and axes; parents come before their children.
+    """The content of a file, in its own units and axes; parents come before their children.
 
     Attributes:
-        names: of the joints. parents: number of each joint's parent, -1 for the root.
-        offsets: from the parent, in the parent's frame. ends: where the file has an end site, from its joint; else 0.
-        rotations: of each joint in its parent's frame, unit quaternions (w, x, y, z).
-        places: of each joint in its parent's frame: its position channels where it has them, else its offset.
+        names: names of the joints.
+        parents: number of each joint's parent, -1 for the root.
+        offsets: offsets from the parent, in the parent's frame.
+        ends: offsets of the end sites from their joints; 0 without one.
+        rotations: rotations of each joint in its parent's frame, unit quaternions (w, x, y, z).
+        places: positions of each joint in its parent's frame: its position channels where it has them, else its offset.
     """
 
     names: tuple[str, ...]
@@ -96,7 +98,7 @@ def read_bvh(path: Path) -> BvhMotion:
 
 
 def _parse(text: str) -> tuple[BvhMotion, str | None]:
-    """(the motion, what the user should know about the file)."""
+    """Return the motion and remarks for the user."""
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if not text.lstrip().upper().startswith("HIERARCHY"):
         raise InputError("it does not begin with HIERARCHY")
@@ -135,7 +137,7 @@ def _parse(text: str) -> tuple[BvhMotion, str | None]:
 
 
 def _placed(channels: Float[Array, "F c"], offset: Float[Array, "c"]) -> Float[Array, "F c"]:
-    """Position channels stand for the offset in most files; where they stay near zero they are added to it."""
+    """Return joint offsets: position channels replace the offset in most files; near zero they are added to it."""
     added = np.linalg.norm(np.median(channels, 0)) < _NEAR_ZERO * np.linalg.norm(offset)
     return channels + offset if added else channels
 
@@ -143,7 +145,7 @@ def _placed(channels: Float[Array, "F c"], offset: Float[Array, "c"]) -> Float[A
 def _from_euler(
     order: tuple[int, ...], angles: Float[Array, "F M c"] | None, shape: tuple[int, int]
 ) -> Float[Array, "F M 4"]:
-    """Turns about the joint's own axes, the first channel first (it is the outermost matrix)."""
+    """Compose rotations about the joint's own axes, the first channel first (it is the outermost matrix)."""
     total = np.zeros((*shape, 4))
     total[..., 0] = 1
     for channel, axis in enumerate(order):
@@ -243,7 +245,7 @@ class _Hierarchy:
 
 
 def _read_motion(text: str, columns: int, first_line: int) -> tuple[Float[Array, "F C"], float, str | None]:
-    """The table of channel values, the frame rate, and what the user should know."""
+    """Read the table of channel values, the frame rate, and remarks for the user."""
     lines = text.split("\n")
     at = [number for number in range(1, min(len(lines), _MAX_BLANK)) if lines[number].strip()][:2]
     if len(at) < 2 or at[1] + 1 >= len(lines):
@@ -276,7 +278,7 @@ def _read_motion(text: str, columns: int, first_line: int) -> tuple[Float[Array,
 
 
 def _why(text: str, frames: int, columns: int, first_line: int) -> str:
-    """What is wrong with the table of values: the first line that shows it."""
+    """Describe the fault in the table of values by its first line."""
     rows = 0
     for number, row in enumerate(io.StringIO(text), first_line):
         words = row.split()
@@ -295,6 +297,6 @@ def _why(text: str, frames: int, columns: int, first_line: int) -> str:
 
 
 def _frames_per_second(frame_s: float) -> float:
-    """Files round the time of a frame (.0083333 s): a whole number of frames per second where that explains it."""
+    """Return the frame rate; files round a frame's time (.0083333 s), so a whole rate is used where it explains it."""
     fps = 1 / frame_s
     return float(round(fps)) if abs(fps - round(fps)) < 3e-4 * fps else fps

@@ -29,7 +29,7 @@ def load_cape(paths: Sequence[Path], name: str) -> MotionClip:
 
     Args:
         paths: one .npz per frame, in order.
-        name: of the sequence.
+        name: name of the sequence.
 
     Raises:
         InputError: a frame is damaged or of another layout.
@@ -55,7 +55,7 @@ def load_cape(paths: Sequence[Path], name: str) -> MotionClip:
 
 
 def _clothing(frame: Path) -> Float[Array, "V 3"] | None:
-    """What the first frame's clothes add to the person's own body [m]; None where that body is not there."""
+    """Return the displacement by the first frame's clothes [m]; None where the person's bare body is missing."""
     minimal = _minimal_body(frame.parent)
     if minimal is None:
         return None
@@ -70,7 +70,7 @@ def _clothing(frame: Path) -> Float[Array, "V 3"] | None:
 
 
 def _minimal_body(folder: Path) -> Path | None:
-    """The subject is one of the folders above the frames; its bare body lies beside them or further up."""
+    """Find the subject's bare body beside the frames or in a folder above them."""
     above = [folder, *folder.parents]
     for level in above:
         for subject in above:

@@ -12,7 +12,7 @@ def read_npz(path: Path, wanted: Collection[str]) -> tuple[dict[str, Shaped[Arra
     """Return the wanted numeric arrays that the file has, and the names of everything in it.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
         wanted: names of arrays to read.
 
     Raises:
@@ -35,7 +35,7 @@ def read_npy(path: Path) -> Shaped[Array, "..."]:
     """Read one array of numbers from a .npy file.
 
     Args:
-        path: of the .npy.
+        path: the .npy file.
 
     Raises:
         InputError: unreadable, damaged, too large or not numbers.

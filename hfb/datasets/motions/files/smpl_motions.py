@@ -1,9 +1,9 @@
 """Motions that are in a SMPL layout already: AMASS (SMPL-H, SMPL-X, SMPL), hfb's own, and plain SMPL poses.
 
-What the world's axes are follows from the keys: `mocap_framerate` or `mocap_frame_rate` mark AMASS, whose z axis
-points up; `fps` a plain file with y up; `times_s` one of hfb's own, in camera coordinates (y down). Turning the world
-about the origin would also move SMPL's translation by a constant that depends on the person's rest pelvis, since SMPL's
-root turns about that joint: it is left out, a clip's place in the world has no meaning.
+The keys determine the world's axes: `mocap_framerate` or `mocap_frame_rate` mark AMASS, whose z axis points up; `fps` a
+plain file with y up; `times_s` one of hfb's own, in camera coordinates (y down). Turning the world about the origin
+would also change SMPL's translation by a constant that depends on the person's rest pelvis, since SMPL's root turns
+about that joint. This constant is ignored, since a clip's position in the world has no meaning.
 """
 
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ def load_smpl_motion(path: Path, name: str) -> MotionClip:
 
     Args:
         path: the .npz.
-        name: of the motion.
+        name: name of the motion.
 
     Raises:
         InputError: damaged, an unknown layout (the text names the keys), too short or not finite.
@@ -64,7 +64,7 @@ def load_smpl_motion(path: Path, name: str) -> MotionClip:
 
 
 def _poses(arrays: Mapping[str, Shaped[Array, "..."]]) -> Float[Array, "F c"] | None:
-    """Poses as (F, 66) or (F, 72) columns; None where they are of no known shape."""
+    """Return poses as (F, 66) or (F, 72) columns; None where they are of no known shape."""
     if "poses" in arrays:
         poses = arrays["poses"]
         width = int(np.prod(poses.shape[1:]))
@@ -90,10 +90,10 @@ def check_clip(
     """Check arrays from outside and return them as a clip whose world has y up.
 
     Args:
-        name: of the motion.
+        name: name of the motion.
         path: the file, named in errors.
         poses: axis-angle columns of the first joints [rad]; the others stay at rest.
-        trans: of the root [m], in the file's world.
+        trans: translation of the root [m], in the file's world.
         fps: frames per second.
         world: rotation (w, x, y, z) from the file's world to one with y up; None where it is one.
 
@@ -126,14 +126,14 @@ def uniform_clip(
 ) -> MotionClip:
     """Resample poses at uneven instants, such as the sub-frames of several exposures, to a clip of even rate.
 
-    Poses are interpolated between them, at the rate that most of them have.
+    The rate is that of most of them.
 
     Args:
-        name: of the motion.
+        name: name of the motion.
         path: the file, named in errors.
         poses: axis-angle columns of the first joints [rad].
-        trans: of the root [m], in the file's world.
-        times_s: of the poses, in order.
+        trans: translation of the root [m], in the file's world.
+        times_s: times of the poses, in order.
         world: rotation (w, x, y, z) from the file's world to one with y up; None where it is one.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Which joint of a foreign skeleton is which of SMPL's: limbs and head by name, trunk by how they hang together."""
+"""Correspondence of a foreign skeleton's joints to SMPL's: limbs and head by name, the trunk by its chain."""
 
 import re
 from collections import Counter
@@ -38,8 +38,9 @@ class JointMap:
 
     Attributes:
         limbs: by SMPL's name (`left_knee`).
-        pelvis: the joint that both legs and the trunk hang from. chest: the one that both arms hang from.
-        collars: what each shoulder hangs from, where that moves apart from the chest.
+        pelvis: the joint that both legs and the trunk hang from.
+        chest: the one that both arms hang from.
+        collars: parent of each shoulder, where it moves relative to the chest.
     """
 
     pelvis: int
@@ -54,7 +55,7 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
     """Find a person's joints in a skeleton.
 
     Args:
-        names: of the skeleton's joints.
+        names: names of the skeleton's joints.
         parents: number of each joint's parent, -1 for the root.
 
     Raises:
@@ -100,7 +101,7 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
 
 
 def _without_subject(names: Sequence[str]) -> list[str]:
-    """The names without the subject's or the armature's own, which some tools begin all of them with."""
+    """Remove the subject's or the armature's name, with which some tools begin every joint's name."""
     firsts = [_SEPARATORS.split(name, maxsplit=1) for name in names]
     (common, count), *_ = Counter(parts[0] for parts in firsts).most_common(1)
     if count < _OF_ALL * len(names):
@@ -109,7 +110,7 @@ def _without_subject(names: Sequence[str]) -> list[str]:
 
 
 def _normal(name: str) -> str:
-    """Without its name space, prefix, case and punctuation."""
+    """Normalise a name: no name space, prefix, case or punctuation."""
     plain = re.sub(r"[^a-z0-9]", "", re.split(r"[:|]", name)[-1].lower())
     return _PREFIX.sub("", plain)
 
@@ -123,7 +124,7 @@ def _find(known: dict[str, int], aliases: Sequence[str]) -> int | None:
 
 
 def _chain(parents: Sequence[int], joint: int) -> list[int]:
-    """The joint and all above it."""
+    """Return the joint and all its ancestors."""
     chain = [joint]
     while parents[chain[-1]] >= 0:
         chain.append(parents[chain[-1]])
@@ -131,5 +132,5 @@ def _chain(parents: Sequence[int], joint: int) -> list[int]:
 
 
 def _common(above: Sequence[Sequence[int]], first: int, second: int) -> int:
-    """The lowest joint that both hang from."""
+    """Return the lowest common ancestor of two joints."""
     return next(joint for joint in above[first] if joint in above[second])

@@ -1,4 +1,4 @@
-"""The SMPL skeleton's chains in numpy: rotations from and to the world's frame, and where the joints are."""
+"""Forward kinematics of the SMPL skeleton in numpy: rotations from and to the world's frame, joint positions."""
 
 from functools import lru_cache
 
@@ -45,7 +45,7 @@ def joint_positions(
 
     Args:
         world: rotations in the world's frame (w, x, y, z).
-        translations: of the root [m].
+        translations: translations of the root [m].
         rest: rest joints [m].
     """
     places = [rest[0] + translations]

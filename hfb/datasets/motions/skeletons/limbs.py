@@ -15,7 +15,7 @@ _FRAME_WEIGHT = 0.02
 """Weight of the foreign frame against the plane of the bend, which has its squared sine: equal at 8 degrees."""
 
 _CARRY_S = 0.08
-"""How long the plane of a bend is trusted once the limb is straight."""
+"""Time for which the plane of a bend is used once the limb is straight."""
 
 _BACKWARD = -0.3
 """Cosine between the axis of the bends and the anatomical one below which a limb is broken: some conversions of CMU's
@@ -34,11 +34,11 @@ class Limb:
     def hinge(self, expected: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
         """Return the axis about which knee or elbow bend, over time [unit length].
 
-        It is across both bones where the limb is bent. In the upper bone's own frame it hardly moves, which tells the
-        rest: its mean there over the clip, turned towards the plane of the bend as far as that is visible.
+        It is perpendicular to both bones where the limb is bent. In the upper bone's own frame it hardly moves, so
+        elsewhere its mean there over the clip is used, turned towards the plane of the bend as far as that is visible.
 
         Args:
-            expected: where the axis is to be looked for if the limb never bends.
+            expected: axis to assume if the limb never bends.
         """
         across = np.cross(self.upper, self.lower)  # as long as the sine of the bend
         sine = np.linalg.norm(across, axis=-1, keepdims=True)
@@ -69,7 +69,7 @@ class Limb:
         return unit(rotate(conjugate(self.frame), axes).sum(0))
 
     def _smooth(self, seen: np.ndarray, sine: Float[Array, "F"]) -> np.ndarray:
-        """Smallest sum of: distance from what is seen (as much as it weighs), from no turn, and change over time."""
+        """Smooth turns: minimise the weighted distance from the observations, from zero, and the change over time."""
         weight = sine * sine
         stiffness = (_CARRY_S * self.fps) ** 2 * _FRAME_WEIGHT
         bands = np.zeros((2, len(seen)))
@@ -99,5 +99,5 @@ def _frame(bone: Float[Array, "*n 3"], hinge: Float[Array, "*n 3"]) -> Float[Arr
 
 
 def _across(vector: Float[Array, "*n 3"], bone: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """The part of a vector that is at right angles to the bone, of unit length."""
+    """Return the part of a vector that is at right angles to the bone, of unit length."""
     return unit(vector - (vector * bone).sum(-1, keepdims=True) * bone)

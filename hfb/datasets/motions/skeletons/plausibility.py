@@ -1,4 +1,4 @@
-"""Joints of a retargeted motion that no person can turn so: axes were misunderstood, or the recording is broken."""
+"""Impossible joints of a retargeted motion, a sign of misread axes or a broken recording."""
 
 import numpy as np
 import torch
@@ -10,7 +10,7 @@ from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Array, Bool, Float
 
 _IMPOSSIBLE = np.deg2rad(45)
-"""Beyond the usual range of motion; fights and acrobatics stay below in most of their frames."""
+"""Excess of the usual range of motion; fights and acrobatics stay below in most of their frames."""
 _AROUND = np.cos(np.deg2rad(100) / 2)
 """Nobody's head is turned farther against the chest."""
 _MOSTLY = 0.5

@@ -1,4 +1,4 @@
-"""Which way a foreign skeleton looks when it is at rest."""
+"""The rest pose of a foreign skeleton and its axes."""
 
 from dataclasses import dataclass
 
@@ -14,21 +14,22 @@ from hfb.typing import Array, Float
 
 _STILL = np.array([1.0, 0, 0, 0])
 _FLAT_FOOT = np.array([0, -np.sin(np.deg2rad(13.5)), np.cos(np.deg2rad(13.5))])
-"""As Character Creator's feet are while they stand; used where the rest pose does not show it."""
+"""Direction of Character Creator's feet while they stand; used where the rest pose does not determine it."""
 
 
 @dataclass(frozen=True)
 class Rest:
-    """What is known of a skeleton's rest pose, in SMPL's axes (x to the person's left, y up, z forward).
+    """Facts about a skeleton's rest pose, in SMPL's axes (x to the person's left, y up, z forward).
 
     Attributes:
-        axes: rotation from the rest pose's axes to SMPL's. world: from the file's world to one with y up.
+        axes: rotation from the rest pose's axes to SMPL's.
+        world: rotation from the file's world to one with y up.
         upright: whether all angles zero make an upright person, so that every joint's frame is the world's there.
-        trunk: what takes SMPL's axes into the frames of `pelvis`, `chest` and `head`.
+        trunk: rotations from SMPL's axes to the frames of `pelvis`, `chest` and `head`.
         collars: rotation of each collar's frame at rest; None where it is not known.
         foot: direction from ankle to toes of a foot that is flat on the ground.
-        leg_length: of thigh and shin together, in the file's unit.
-        remarks: what the user should know about the file.
+        leg_length: length of thigh and shin together, in the file's unit.
+        remarks: remarks for the user about the file.
     """
 
     axes: Float[Array, "4"]
@@ -45,11 +46,11 @@ def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
     """Derive the rest pose from the offsets, and from the motion where the offsets are not enough.
 
     Args:
-        motion: of the foreign skeleton.
+        motion: motion of the foreign skeleton.
         joints: numbers of a person's joints in it.
 
     Raises:
-        InputError: legs have no length, or what is up cannot be told.
+        InputError: legs have no length, or the vertical axis is undetermined.
     """
     turned, moved = motion.world()
     hips, knees, ankles = _legs(moved, joints)
@@ -60,7 +61,7 @@ def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
     places = motion.rest()
     hips, _, ankles = _legs(places, joints)
     trunk, across = places[joints.head] - hips.mean(0), hips[0] - hips[1]
-    # Whoever sets up a skeleton does so along the axes: the nearest ones are meant.
+    # Skeletons are set up along the axes: the nearest ones are used.
     up = _nearest_axis(trunk)
     sideways = across - (across @ up) * up
     shown = bool(min(np.linalg.norm(trunk), np.linalg.norm(sideways)) > 1e-3 * leg_length)
@@ -88,7 +89,7 @@ def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
 
 
 def _legs(places: Float[Array, "*n N 3"], joints: JointMap) -> tuple[Float[Array, "2 *n 3"], ...]:
-    """Hips, knees and ankles, left and right."""
+    """Return hips, knees and ankles, left and right."""
     parts = [[joints.limbs[f"{side}_{part}"] for side in ("left", "right")] for part in ("hip", "knee", "ankle")]
     return tuple(np.stack([places[..., joint, :] for joint in part]) for part in parts)
 

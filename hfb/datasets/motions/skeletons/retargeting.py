@@ -1,8 +1,8 @@
-"""A foreign skeleton's motion on SMPL's skeleton.
+"""Retargeting of a foreign skeleton's motion to SMPL's skeleton.
 
 The directions of the limbs' bones are kept exactly; trunk, head, collars and feet keep their rotations relative to the
-skeleton's rest pose. How an arm or a leg is turned about its own bone shows in the plane in which elbow or knee bend:
-these are hinges, whatever axes the foreign skeleton's frames have (see `Limb`).
+skeleton's rest pose. The rotation of an arm or a leg about its own bone follows from the plane in which elbow or knee
+bend: these are hinges, whatever axes the foreign skeleton's frames have (see `Limb`).
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ _FLEXION = {
 _AT_ELBOW = 0.6
 _MOST_PRONATION = np.deg2rad(110)
 _WRIST = np.deg2rad([[-5, -25, -60], [5, 35, 60]])
-"""How far a left wrist goes about SMPL's axes, least and most; see `hfb.priors.anatomy`."""
+"""Smallest and largest angles of a left wrist about SMPL's axes; see `hfb.priors.anatomy`."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,16 @@ class _Source:
     places: Float[Array, "F N 3"]
 
     def since_rest(self, joint: int) -> Float[Array, "F 4"]:
-        """How a joint has turned since the rest pose, where all its angles are zero."""
+        """Return how a joint has turned since the rest pose, where all its angles are zero."""
         return multiply(self.frames[:, joint], conjugate(self.rest.axes))
 
     def part(self, name: str) -> Float[Array, "F 4"]:
-        """World rotation of pelvis, chest or head."""
+        """Return world rotation of pelvis, chest or head."""
         return multiply(self.frames[:, getattr(self.joints, name)], self.rest.trunk[name])
 
 
 class Retargeted(NamedTuple):
-    """Poses (axis-angle [rad], y up) and translations [m]; what the user should know about the file."""
+    """Poses (axis-angle [rad], y up) and translations [m], with remarks for the user."""
 
     poses: Float[Array, "F 24 3"]
     translations: Float[Array, "F 3"]
@@ -76,10 +76,10 @@ class Retargeted(NamedTuple):
 def retarget(motion: BvhMotion) -> Retargeted:
     """Retarget a motion to a person with the embedded body's rest joints.
 
-    Lengths are scaled by the ratio of the legs, so that feet which stand stay.
+    Lengths are scaled by the ratio of the legs, so that standing feet do not slide.
 
     Args:
-        motion: of the foreign skeleton.
+        motion: motion of the foreign skeleton.
 
     Raises:
         InputError: a person's joints are not all there, have no length between them, or are turned as no person's;
@@ -109,7 +109,7 @@ def retarget(motion: BvhMotion) -> Retargeted:
 
 
 def _set_trunk(world: Float[Array, "F 24 4"], source: _Source) -> None:
-    """Pelvis, chest, collars and head; the joints between share the bend evenly."""
+    """Set pelvis, chest, collars and head; the joints between share the bend evenly."""
     pelvis, chest, head = (source.part(name) for name in ("pelvis", "chest", "head"))
     bend, nod = multiply(conjugate(pelvis), chest), multiply(conjugate(chest), head)
     world[:, _J["pelvis"]], world[:, _J["spine3"]], world[:, _J["head"]] = pelvis, chest, head
@@ -126,7 +126,7 @@ def _set_trunk(world: Float[Array, "F 24 4"], source: _Source) -> None:
 
 @dataclass(frozen=True)
 class _Turned:
-    """World rotations of a limb's upper and lower joint, its hinge, and what was turned round the upper bone first."""
+    """World rotations of a limb's upper and lower joint, its hinge, and the correction about the upper bone."""
 
     upper: Float[Array, "F 4"]
     lower: Float[Array, "F 4"]
@@ -135,7 +135,7 @@ class _Turned:
 
 
 def _turn_limb(source: _Source, side: str, parts: tuple[str, str, str], away: Float[Array, "F 3"]) -> _Turned:
-    """Both bones' directions as in the recording; bends towards `away` where neither bends nor rest pose tell."""
+    """Set both bones' directions as recorded; bends towards `away` where neither bends nor rest pose determine it."""
     names = [f"{side}_{part}" for part in parts]
     joints = [source.joints.limbs[name] for name in names]
     start, middle, end = (source.places[:, joint] for joint in joints)
@@ -156,7 +156,7 @@ def _turn_limb(source: _Source, side: str, parts: tuple[str, str, str], away: Fl
 
 
 def _set_leg(world: Float[Array, "F 24 4"], source: _Source, side: str) -> bool:
-    """Whether the knee bent backwards and was turned round."""
+    """Set a leg's rotations; return whether the knee bent backwards and was turned round."""
     leg = _turn_limb(source, side, ("hip", "knee", "ankle"), rotate(world[:, 0], -_FORWARD))
     world[:, _J[f"{side}_hip"]], world[:, _J[f"{side}_knee"]] = leg.upper, leg.lower
     ankle, toe = source.joints.limbs[f"{side}_ankle"], source.joints.toes[side]
@@ -193,10 +193,10 @@ def _set_arm(world: Float[Array, "F 24 4"], source: _Source, side: str) -> None:
 def _pronation(
     turn: Float[Array, "F 4"], along: Float[Array, "3"], sign: float
 ) -> tuple[Float[Array, "F"], Float[Array, "F 3"]]:
-    """A hand's turn against the forearm: about it [rad], then across it (a rotation vector).
+    """Return a hand's turn against the forearm: about it [rad], then across it (a rotation vector).
 
-    Both stay within what hands can do: what is beyond is an error of the recording (often of half a turn), and does not
-    show in the arm's bones.
+    Both are limited to a hand's range: larger values are errors of the recording (often of half a turn) that the arm's
+    bones do not show.
     """
     twist = np.unwrap(2 * np.arctan2((turn[:, 1:] * along).sum(-1), turn[:, 0]))
     swing = to_axis_angle(multiply(turn, from_axis_angle(-twist[:, None] * along)))
@@ -207,7 +207,7 @@ def _pronation(
 
 
 def _translations(pelvis: Float[Array, "F 4"], source: _Source) -> Float[Array, "F 3"]:
-    """SMPL's translation that brings the middle between the hips to where it is in the recording."""
+    """Return SMPL's translation that brings the middle between the hips to where it is in the recording."""
     rest = rest_joints()
     hips = [_J[f"{side}_hip"] for side in _SIDES]
     knees, ankles = ([_J[f"{side}_{part}"] for side in _SIDES] for part in ("knee", "ankle"))

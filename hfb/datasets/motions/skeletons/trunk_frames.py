@@ -1,7 +1,8 @@
-"""How pelvis, chest and head are turned within their joints' frames.
+"""Rotations of pelvis, chest and head within their joints' frames.
 
-A joint's frame says how a part of the body is turned only where it is known how the part lies in it. The rest pose
-tells, where it is one. Else the motion does: on average hips, shoulders and spine show the part's own axes.
+A joint's frame determines the rotation of a part of the body only where the part's rotation within that frame is known.
+It follows from the rest pose, where this is a standing person. Else it follows from the motion: on average hips,
+shoulders and spine show the part's own axes.
 """
 
 import numpy as np
@@ -27,8 +28,8 @@ def trunk_offsets(
     """Estimate how pelvis, chest and head are turned within their joints' frames.
 
     Args:
-        rotations: of every joint, in a world with y up.
-        places: of every joint [m], in a world with y up.
+        rotations: rotations of every joint, in a world with y up.
+        places: positions of every joint [m], in a world with y up.
         joints: numbers of a person's joints.
         at_rest: offsets by the rest pose.
         trusted: whether the rest pose is an upright person, or of a known skeleton.
@@ -63,18 +64,18 @@ def trunk_offsets(
 
 
 def _cosines(one: Float[Array, "F 4"], other: Float[Array, "F 4"]) -> Float[Array, "F"]:
-    """Of half the angle between rotations."""
+    """Return the cosine of half the angle between rotations."""
     return np.abs((one * other).sum(-1))
 
 
 def _frame(left: Float[Array, "F 3"], up: Float[Array, "F 3"]) -> Float[Array, "F 4"]:
-    """The rotation of SMPL's axes: x to the left exactly, y as nearly up as that allows."""
+    """Return the rotation of SMPL's axes: x to the left exactly, y as nearly up as that allows."""
     x = unit(left)
     y = unit(up - (up * x).sum(-1, keepdims=True) * x)
     return from_axes(x, y, np.cross(x, y))
 
 
 def _mean(rotations: Float[Array, "F 4"]) -> Float[Array, "4"]:
-    """The mean rotation: the quaternion with the largest sum of squared products (Markley et al., 2007)."""
+    """Return the mean rotation: the quaternion with the largest sum of squared products (Markley et al., 2007)."""
     _, vectors = np.linalg.eigh(rotations.T @ rotations)
     return vectors[:, -1]

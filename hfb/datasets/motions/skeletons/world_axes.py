@@ -1,7 +1,7 @@
-"""Which way is up in a recording: told by how the person stands in it, not by the rest pose alone.
+"""The vertical axis of a recording, by the person's posture in it and by the rest pose.
 
-Exporters write skeletons whose rest pose has another up than the world (y up beside z up), and rest poses that are no
-pose, with all bones along one axis.
+Exporters write skeletons whose rest pose has another vertical axis than the world (y up beside z up), and rest poses
+that are no pose, with all bones along one axis.
 """
 
 import numpy as np
@@ -17,7 +17,8 @@ _SOMETIMES, _MOSTLY = 0.2, 0.6
 """Shares of frames: whoever is upright so often by the rest pose's up leaves no doubt; so often by another one is not
 lying."""
 _ON_FLOOR, _FLAT, _TRAVEL = 0.25, 0.8, 1.0
-"""In lengths of a leg: height of the floor, of somebody who lies, and a way that nobody goes on their back."""
+"""Lengths relative to a leg: height of the floor, height of a lying person, distance that nobody moves on their
+back."""
 
 
 def find_up(
@@ -26,13 +27,13 @@ def find_up(
     """Return the coordinate axis of the file's world that points up.
 
     Args:
-        places: of every joint in the file's world.
+        places: positions of every joint in the file's world.
         joints: numbers of a person's joints.
         rest_up: the axis along which the trunk points at rest.
         is_pose: whether the rest pose is an upright person.
 
     Raises:
-        InputError: it cannot be told.
+        InputError: the motion does not determine it.
     """
     sides = ("left", "right")
     hips, ankles = (places[:, [joints.limbs[f"{side}_{part}"] for side in sides]].mean(1) for part in ("hip", "ankle"))
@@ -62,10 +63,10 @@ def _lies(
     best: Float[Array, "3"],
     rest_up: Float[Array, "3"],
 ) -> bool:
-    """Whether somebody who is stretched along `best` all the time lies in a world whose up is `rest_up`.
+    """Return whether a person who is stretched along `best` all the time lies in a world whose up is `rest_up`.
 
     Raises:
-        InputError: it cannot be told.
+        InputError: the motion does not determine it.
     """
     way = np.ptp(hips - (hips @ best)[:, None] * best, axis=0)
     if np.linalg.norm(way) > _TRAVEL * leg:

@@ -1,7 +1,7 @@
 """AMASS (SMPL-H and SMPL-X, z up) and plain SMPL motions (y up): poses without a camera.
 
-How the body stands in an upright world is known; from where it is seen and where it stands, the matte must tell.
-Its clock is its own: `rate_hz` says which row a video's frame is.
+The body's posture in an upright world is known; the matte determines its position and from which side it is seen. The
+file has a clock of its own: `rate_hz` gives the row of a video's frame.
 """
 
 from typing import Any
@@ -26,7 +26,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the motion of a file; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """

@@ -1,7 +1,7 @@
 """HybrIK: res.pk, a dictionary of arrays over the frames (pred_thetas as 24 matrices, transl, bbox, ...).
 
-Its camera has a focal length of 1000 px for a crop of 256 px, scaled with the box (x1, y1, x2, y2), and looks through
-the middle of the picture; `transl` is where the root joint stands.
+Its camera has a focal length of 1000 px for a crop of 256 px, scaled with the box (x1, y1, x2, y2), and its axis passes
+through the middle of the image; `transl` is the position of the root joint.
 """
 
 import re
@@ -24,7 +24,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the one person of a res.pk; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """
@@ -53,7 +53,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _poses(value: Any, count: int) -> Float[Array, "N 24 3"]:
-    """Matrices; quaternions in the releases of 2021."""
+    """Return poses from matrices, or from quaternions in the releases of 2021."""
     given = array_in(value)
     if given.size % count:
         raise InputError(f"it has poses of the shape {given.shape} for {count} frames")
@@ -77,7 +77,7 @@ def _sides(one: dict[str, Any], count: int) -> tuple[int, int] | None:
 
 
 def _frames(one: dict[str, Any], count: int) -> Int[Array, "N"]:
-    """From the pictures' names, which HybrIK counts from 1: before the first detection frames are left out."""
+    """Return frames by the images' names, counted from 1; frames before the first detection are missing."""
     found = [re.search(r"(\d+)\.\w+$", name) for name in texts(one.get("img_path"))]
     numbered = [int(match[1]) - 1 for match in found if match]
     if len(numbered) == count and len(set(numbered)) == count and min(numbered, default=-1) >= 0:

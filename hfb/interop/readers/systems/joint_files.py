@@ -7,7 +7,7 @@ K             (3, 3) or (frames, 3, 3), where the joints are placed before a cam
 frame_index   the video's frame numbers, from 0 on; each row is the next frame where it is missing
 y_up          true where y points up and z towards the viewer
 
-Millimetres and centimetres are told from the bones' lengths.
+Millimetres and centimetres are recognised by the bones' lengths.
 """
 
 from typing import Any
@@ -31,7 +31,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the one person of a joints file; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """
@@ -48,7 +48,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _given(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:
-    """The joints by their name, or an array alone that can be nothing else."""
+    """Return the joints by their name, or an array alone that can be nothing else."""
     name = next((name for name in _NAMES if name in one), None)
     if name is not None:
         return array_in(one[name])

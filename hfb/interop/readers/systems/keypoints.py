@@ -9,7 +9,7 @@ COCO's and AlphaPose's results: a JSON list of {image_id, keypoints: [x, y, conf
 image's number is its id, or the last digits of its name; names are matched with the clip's own. People are told apart
 by track_id or idx, else a person is who lies nearest from frame to frame.
 MMPose's: {instance_info: [{frame_id, instances: [{keypoints, keypoint_scores}]}]}, frames counted from 1.
-OpenPose's: {people: [{pose_keypoints_2d}]}, one picture.
+OpenPose's: {people: [{pose_keypoints_2d}]}, one image.
 """
 
 import math
@@ -72,11 +72,11 @@ _OPENPOSE = (
 _LAYOUTS: dict[int, tuple[str | None, ...]] = {17: _COCO, 24: JOINT_NAMES, 25: _OPENPOSE}
 _MORE_THAN_COCO = (26, 133, 136)  # Halpe's and COCO-WholeBody's begin with COCO's 17
 _REACH = 0.4
-"""How far somebody goes from one frame to the next, in the size of what is seen of them."""
+"""Largest step of a person from one frame to the next, relative to their visible size."""
 
 
 class _Detection(NamedTuple):
-    """Somebody in a picture: its number, the keypoints, and its name where it has one."""
+    """A person in an image: its number, the keypoints, and its name where it has one."""
 
     number: int
     points: Float[Array, "_ c"]
@@ -87,7 +87,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the persons of a file of keypoints; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """
@@ -116,7 +116,7 @@ def _of_array(given: Float[Array, "..."], one: dict[str, Any], size: tuple[int, 
 
 
 def _of_mmpose(frames: list[Any]) -> list[dict[str, Any]]:
-    """MMPose's detections as COCO's; its demo counts frames from 1."""
+    """Convert MMPose's detections to COCO's; its demo counts frames from 1."""
     parts = []
     for frame in named_all(frames, ("frame_id", "instances")) or []:
         for one in named_all(frame["instances"], ("keypoints", "keypoint_scores")) or []:
@@ -147,7 +147,7 @@ def _of_detections(parts: list[dict[str, Any]], size: tuple[int, int]) -> list[P
 
 
 def _name(mark: Any) -> str | None:
-    """A person's name out of a whole number, a text, or such in lists; None where it names nobody."""
+    """Return a person's name from a whole number, a text, or lists of these; None for any other value."""
     while isinstance(mark, list | tuple) and mark:
         mark = mark[0]
     if isinstance(mark, bool) or not isinstance(mark, int | float | str) or mark in ("", -1):
@@ -156,12 +156,12 @@ def _name(mark: Any) -> str | None:
 
 
 def _ways(before: list[_Detection], now: list[_Detection]) -> Float[Array, "b n"]:
-    """Between keypoints that are trusted in both, in what somebody of that size goes from frame to frame."""
+    """Return the distance between keypoints that are reliable in both, in steps of a person of that size."""
     if len({one.points.shape for one in (*before, *now)}) > 1:
         raise InputError("its people have different numbers of keypoints; give those of one model")
     old, new = (np.stack([_trusted(one.points) for one in people]) for people in (before, now))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # nothing is trusted in both: NaN, which is nobody's way
+        warnings.simplefilter("ignore", RuntimeWarning)  # no keypoint is reliable in both: NaN, which links nobody
         away_px = np.nanmedian(np.linalg.norm(old[:, None] - new, axis=-1), -1)
         old_px, new_px = ((np.nanmax(one, 1) - np.nanmin(one, 1)).max(-1) for one in (old, new))
     return away_px / np.maximum(_REACH * np.fmax(old_px[:, None], new_px), 1e-6)
@@ -176,7 +176,7 @@ def _is_number(image: Any) -> bool:
 
 
 def _number(image: Any) -> int:
-    """Of an image: its id, or the last number of its name."""
+    """Return an image's number: its id, or the last number of its name."""
     if _is_number(image):
         return int(image)
     number = number_in(text_of(image))
@@ -195,7 +195,7 @@ def _points(value: Any) -> Float[Array, "J 3"]:
 def _person(
     name: str, found: list[_Detection], size: tuple[int, int], names: tuple[str | None, ...] | None = None
 ) -> PoseTrack:
-    """A camera is assumed, whose focal length is the picture's diagonal: it only says how large a person is."""
+    """Build a track with an assumed camera whose focal length is the image's diagonal; only sizes depend on it."""
     found = sorted(found, key=lambda detection: detection.number)
     height, width = size
     K = pinhole(math.hypot(height, width), width / 2, height / 2)
@@ -214,7 +214,7 @@ def _person(
 
 
 def _as_24(points: Float[Array, "J c"], names: tuple[str | None, ...] | None) -> Float[Array, "24 2"]:
-    """By SMPL's joints, NaN where unknown or not trusted; pelvis and neck between hips and shoulders."""
+    """Return SMPL's joints, NaN where unknown or unreliable; pelvis and neck between hips and shoulders."""
     if names is None:
         count = 17 if len(points) in _MORE_THAN_COCO else len(points)
         names = _LAYOUTS.get(count)

@@ -16,7 +16,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the person of a motion.npz or of a canonical result; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """

@@ -1,6 +1,6 @@
 """PHALP and 4D-Humans: results/*.pkl, {frame: {time, tid, tracked_time, smpl, camera, size, ...}}.
 
-`camera` is the translation before a camera of 5000 px for a picture of 256, whose longer side the frame fills: the
+`camera` is the translation before a camera of 5000 px for an image of 256, whose longer side the frame fills: the
 focal length is 5000 / 256 max(W, H), through the middle. `smpl` holds matrices.
 """
 
@@ -24,7 +24,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the persons of a result file; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """
@@ -48,13 +48,13 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _seen(frame: dict[str, Any]) -> list[int]:
-    """Places of those who are seen in a frame."""
+    """Return the places of those who are visible in a frame."""
     count = min(len(frame[name]) for name in ("tid", "smpl", "camera"))
     return [at for at in range(count) if not _stale(frame, at)]
 
 
 def _stale(frame: dict[str, Any], at: int) -> bool:
-    """Whether the track only remembers the person from an earlier frame."""
+    """Return whether the track only remembers the person from an earlier frame."""
     waited = frame.get("tracked_time")
     return isinstance(waited, list) and at < len(waited) and bool(numbers(waited[at], 1)[0] != 0)
 

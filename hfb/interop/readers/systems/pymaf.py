@@ -1,6 +1,6 @@
 """PyMAF (and VIBE, whose layout it took over): output.pkl, {person: {pose, betas, orig_cam, frame_ids, ...}}.
 
-`orig_cam` is weak perspective in the whole picture: x appears at (sx (x + tx) + 1) W / 2, y at (sy (y + ty) + 1) H / 2.
+`orig_cam` is weak perspective in the whole image: x appears at (sx (x + tx) + 1) W / 2, y at (sy (y + ty) + 1) H / 2.
 A pinhole very far away shows the same.
 """
 
@@ -15,14 +15,14 @@ from hfb.typing import Array, Float
 
 SYSTEM = "PyMAF"
 _FAR = 150.0
-"""Focal length in picture sides: the depth of a body then moves no point by a pixel."""
+"""Focal length in image sides: the depth of a body then moves no point by a pixel."""
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
     """Read the persons of an output.pkl; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """
@@ -33,7 +33,7 @@ def _person(name: str, one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
     poses = numbers_at(one, "pose", None, 72, finite=False)
     count = len(poses)
     camera = numbers_at(one, "orig_cam", count, 4, finite=False)
-    camera[(camera[:, :2] <= 0).any(1)] = np.nan  # a scale of zero or less shows nobody
+    camera[(camera[:, :2] <= 0).any(1)] = np.nan  # a scale of zero or less is no detection
     height, width = _size(one, camera) or size
     focal_px = _FAR * max(height, width)
     depth = 2 * focal_px / (camera[:, 0] * width)
@@ -51,7 +51,7 @@ def _person(name: str, one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
 
 
 def _size(one: dict[str, Any], camera: Float[Array, "N 4"]) -> tuple[int, int] | None:
-    """The pictures' size, which is in the file only as the ratio of its two cameras: sx = s h / W, sy = s h / H."""
+    """Return the images' size, which is stored only as the ratio of two cameras: sx = s h / W, sy = s h / H."""
     if one.get("pred_cam") is None or one.get("bboxes") is None:
         return None
     scale = numbers_at(one, "pred_cam", len(camera), 3, finite=False)[:, 0]

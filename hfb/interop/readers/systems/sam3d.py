@@ -28,14 +28,14 @@ from hfb.typing import Array, Float
 SYSTEM = "SAM 3D Body"
 _NEEDED = {"pred_keypoints_3d", "pred_cam_t"}
 _REACH_M = 1.0
-"""How far a pelvis moves from one frame to the next."""
+"""Largest distance that a pelvis moves from one frame to the next."""
 _LEAST_KEYPOINTS, _LEAST_SPREAD = 6, 1e-3
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A person in a frame: joints [m], NaN where unknown, and the camera; the picture's name where it is known."""
+    """A person in a frame: joints [m], NaN where unknown, and the camera; the image's name where it is known."""
 
     number: int
     image: str | None
@@ -47,7 +47,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the persons of a saved estimate, numbered in order; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """
@@ -68,7 +68,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _frames(content: Any) -> list[tuple[int, str | None, list[Any]]]:
-    """(frame number, picture's name, people) of each frame, as far as it looks like frames."""
+    """Return (frame number, image's name, people) of each frame, as far as the content has that form."""
     if isinstance(content, dict) and len(content) == 1:
         (inner,) = content.values()
         if not has_keys(inner, _NEEDED) and not (isinstance(inner, list) and _are_people(inner)):
@@ -93,7 +93,7 @@ def _are_people(part: list[Any]) -> bool:
 
 
 def _written(names: list[str]) -> list[int]:
-    """The last number in each name before its suffix; places where one has none, or two the same."""
+    """Return the last number in each name before its suffix; places where one has none, or two are equal."""
     found = [re.findall(r"\d{1,15}", re.sub(r"\.[A-Za-z]\w*$", "", name)) for name in names]
     numbers = [int(each[-1]) for each in found if each]
     return numbers if len(set(numbers)) == len(names) else list(range(len(names)))
@@ -110,7 +110,7 @@ def _look(number: int, image: str | None, one: dict[str, Any], size: tuple[int, 
 
 
 def _focal_px(one: dict[str, Any], points: Float[Array, "70 3"]) -> float:
-    """As it is stored, else as the system's own 2D and 3D keypoints say.
+    """Return the stored focal length, else the one by the system's own 2D and 3D keypoints.
 
     Raises:
         InputError: neither is there.
@@ -132,7 +132,7 @@ def _focal_px(one: dict[str, Any], points: Float[Array, "70 3"]) -> float:
 def _camera(
     one: dict[str, Any], points: Float[Array, "70 3"], focal_px: float, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
-    """The principal point is not stored; it follows from where the system saw its own keypoints."""
+    """Return the camera; the principal point is not stored and follows from the system's own keypoints."""
     if one.get("pred_keypoints_2d") is None:
         return pinhole(focal_px, size[1] / 2, size[0] / 2)
     pixels = numbers_at(one, "pred_keypoints_2d", 70, 2, finite=False)
@@ -144,7 +144,7 @@ def _camera(
 
 
 def _ways(before: list[_Seen], now: list[_Seen]) -> Float[Array, "b n"]:
-    """Between pelvises."""
+    """Return distances between pelvises."""
     away = np.stack([one.joints[0] for one in before])[:, None] - np.stack([one.joints[0] for one in now])
     return np.linalg.norm(away, axis=-1) / _REACH_M
 

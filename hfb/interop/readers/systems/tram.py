@@ -1,7 +1,7 @@
 """TRAM: hps/hps_track_k.npy, tensors in a pickle (pred_rotmat, pred_shape, pred_trans, frame), and camera.npy beside.
 
 `pred_trans` is SMPL's translation before the camera of camera.npy (img_focal, img_center). Without that file the focal
-length is taken for the picture's diagonal, as TRAM's own first guess.
+length is assumed to be the image's diagonal, TRAM's own first guess.
 """
 
 import math
@@ -24,7 +24,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the one person of a track file; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """

@@ -1,6 +1,6 @@
 """WHAM: wham_output.pkl, {person: {pose, trans, betas, frame_ids, pose_world, ...}}.
 
-`pose` and `trans` are SMPL's in the camera's axes, before a camera whose focal length is the picture's diagonal.
+`pose` and `trans` are SMPL's in the camera's axes, before a camera whose focal length is the image's diagonal.
 """
 
 import math
@@ -19,7 +19,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     """Read the persons of a wham_output.pkl; None where it is something else.
 
     Args:
-        content: of the file, unpickled or parsed.
+        content: content of the file, unpickled or parsed.
         size: height and width of the clip's frames [px].
         beside: contents of companion files by name.
     """

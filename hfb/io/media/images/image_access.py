@@ -1,4 +1,4 @@
-"""Getting at a picture file: its bytes within limits, and what to say of one that is none."""
+"""Access to an image file: its bytes within limits, and errors for other files."""
 
 from pathlib import Path
 
@@ -6,7 +6,8 @@ from hfb.errors import InputError
 from hfb.io.media.images.image_kinds import foreign_kind
 
 PIXEL_LIMIT = 40_000_000
-"""Of a picture, or a frame of a video (8K has 33): as float32 RGB 0.5 GB, with a decoder's copies of 16 bits 1.5 GB."""
+"""Largest number of pixels of an image, or a frame of a video (8K has 33 million): as float32 RGB 0.5 GB, with a
+decoder's copies of 16 bits 1.5 GB."""
 
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")
 KINDS = "a PNG, JPEG, TIFF, WebP or BMP picture"
@@ -18,7 +19,7 @@ def read_bytes(path: Path) -> bytes:
     """Read an image file's content.
 
     Args:
-        path: of the image.
+        path: the image file.
 
     Raises:
         InputError: it cannot be read, is empty or absurdly large.
@@ -43,7 +44,7 @@ def no_picture(path: Path) -> InputError:
     """Build the error for a file that no decoder reads: it names the file's kind, where that is known.
 
     Args:
-        path: of the image.
+        path: the image file.
     """
     try:
         with path.open("rb") as file:
@@ -57,8 +58,8 @@ def damaged(path: Path, error: Exception) -> InputError:
     """Build the error for an image that a decoder could not finish.
 
     Args:
-        path: of the image.
-        error: of the decoder.
+        path: the image file.
+        error: error of the decoder.
     """
     reason = " ".join(str(error).split())[:120] or type(error).__name__
     return InputError(f"{path}: the picture is truncated or damaged ({reason}); export or copy it again.")
@@ -68,7 +69,7 @@ def too_large(path: Path, what: str) -> InputError:
     """Build the error for more pixels than `PIXEL_LIMIT`.
 
     Args:
-        path: of the image.
+        path: the image file.
         what: number of pixels or sides, as text.
     """
     return InputError(f"{path}: {what} is over the limit of {PIXEL_LIMIT // 1_000_000} megapixels; make it smaller.")

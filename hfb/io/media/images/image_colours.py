@@ -1,7 +1,8 @@
-"""Colours of a picture that are not sRGB's: what its file says of them, and the way to sRGB.
+"""Conversion of colours to sRGB by what an image file states.
 
-Where a curve per channel and a matrix say it (Display P3, Adobe RGB, ProPhoto, a PNG's gamma and primaries), levels are
-converted exactly, 16 bits too. Profiles that are tables (of printers and scanners) are littleCMS's work, with 8 bits.
+Colours given by a curve per channel and a matrix (Display P3, Adobe RGB, ProPhoto, a PNG's gamma and primaries) are
+converted exactly, also with 16 bits. Profiles that are tables (of printers and scanners) are converted by littleCMS,
+with 8 bits.
 """
 
 import io
@@ -165,7 +166,7 @@ def converted_by_tables(image: Image.Image, profile: bytes) -> Image.Image:
         profile: ICC profile.
 
     Raises:
-        UnreadableProfile: it is damaged, or another picture's.
+        UnreadableProfile: it is damaged, or another image's.
     """
     try:
         source, target = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")
@@ -212,7 +213,7 @@ def _profile_name(profile: bytes) -> str:
 
 
 def _icc_curve(tag: bytes) -> Curve:
-    """A `curv` or `para` tag."""
+    """Parse a `curv` or `para` tag."""
     if tag[:4] == b"curv":
         (count,) = struct.unpack_from(">I", tag, 8)
         if count == 0:
@@ -240,7 +241,7 @@ def _icc_curve(tag: bytes) -> Curve:
 
 
 def _curve_of(transfer: int) -> Curve | None:
-    """Of ITU-T H.273's numbers; None where it is as sRGB's, or not known."""
+    """Return the curve of an ITU-T H.273 number; None where it is sRGB's, or unknown."""
     powers = {4: 2.2, 5: 2.8, 8: 1.0}
     return srgb_to_linear if transfer in _AS_SRGB else _power(powers[transfer]) if transfer in powers else None
 
@@ -257,7 +258,7 @@ def _to_srgb(primaries: tuple[_Place, ...], white: _Place) -> Float[Array, "3 3"
 
 
 def _to_xyz_d50(primaries: tuple[_Place, ...], white: _Place) -> Float[Array, "3 3"]:
-    """Linear RGB to XYZ, its white adapted to D50 by Bradford's way."""
+    """Return the matrix from linear RGB to XYZ, its white adapted to D50 by Bradford's method."""
     columns = np.stack([_xyz(place) for place in primaries], -1)
     own = columns * np.linalg.solve(columns, _xyz(white))
     seen, wanted = _BRADFORD @ _xyz(white), _BRADFORD @ _xyz(_D50)

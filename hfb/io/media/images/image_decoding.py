@@ -1,4 +1,4 @@
-"""Picture files decoded: levels of 8 to 16 bits, upright, in sRGB's colours, with what a user should know of them."""
+"""Decoding of image files: levels of 8 to 16 bits, upright, in sRGB's colours, with remarks for the user."""
 
 import io
 import warnings
@@ -35,12 +35,12 @@ _DEPTHS, _SURELY_DARK = (10, 12, 14), 12
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A decoded picture.
+    """A decoded image.
 
     Attributes:
         pixels: RGB in [0, 1], encoded as sRGB, or as stored.
-        remarks: what a user should know of it, one sentence each.
-        seems_bits: how many bits it seems to have, where these are fewer than its 16 and nothing states it.
+        remarks: remarks for the user, one sentence each.
+        seems_bits: apparent number of bits, where these are fewer than its 16 and nothing states it.
     """
 
     pixels: Float[Array, "H W 3"]
@@ -50,7 +50,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class _Levels:
-    """As stored: levels up to `full`, with what the file says of their colours."""
+    """Stored levels up to `full`, with the file's statement of their colours."""
 
     levels: Shaped[Array, "H W 3"]
     full: int
@@ -66,12 +66,12 @@ def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
     Gray becomes RGB, an alpha channel is dropped, the camera's EXIF rotation is applied.
 
     Args:
-        path: of the image.
+        path: the image file.
         transfer: the light that the user knows it to store. ``srgb``: what the file says of its colours counts, they
             become sRGB's; else the values stay as they are.
 
     Raises:
-        InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
+        InputError: missing, empty, truncated, too large, or no image; the text names the fix.
     """
     data = read_bytes(path)
     try:
@@ -89,10 +89,10 @@ def picture_size(path: Path) -> tuple[int, int, int]:
     """Return (height, width, bits to store it with) as `decode_picture` gives them; only the file's head is read.
 
     Args:
-        path: of the image.
+        path: the image file.
 
     Raises:
-        InputError: missing, or no picture.
+        InputError: missing, or no image.
     """
     try:
         with warnings.catch_warnings(), path.open("rb") as file:
@@ -128,7 +128,7 @@ def doubt_depths(seen: Sequence[tuple[Path, int | None]], transfer: Transfer) ->
         transfer: the light that the user states.
 
     Raises:
-        InputError: all of them seem so, by 12 bits or fewer, and are not told to be linear light, which may be as dark.
+        InputError: all of them seem so, by 12 bits or fewer, and are not stated to be linear light (as dark, too).
     """
     path, most = max(seen, key=lambda one: one[1] or 16)
     if most is None:
@@ -155,7 +155,7 @@ def _stored(path: Path, data: bytes, with_colours: bool) -> _Levels:
         levels, full = read_unusual(path, data, directory)
         return _deep(path, _turned(levels, number(directory, _ORIENTATION, 1)), full, data, directory)
     image = _open(path, data)
-    image.load()  # all of it, whoever decodes: OpenCV fills what is missing with gray
+    image.load()  # all of it for any decoder, since OpenCV fills missing parts with gray
     deep = data[24] > 8 if image.format == "PNG" else directory is not None and number(directory, _BITS, 8) > 8
     if deep:
         told = image.getexif().get(_ORIENTATION, 1) if directory is None else number(directory, _ORIENTATION, 1)
@@ -178,7 +178,7 @@ def _stored(path: Path, data: bytes, with_colours: bool) -> _Levels:
 
 
 def _deep(path: Path, levels: Shaped[Array, "H W 3"], full: int, data: bytes, directory: Directory | None) -> _Levels:
-    """What the file says, or seems to say, of how many of its bits count."""
+    """Return the number of significant bits, stated or apparent."""
     largest = int(levels.max(initial=0))
     profile, colours, told = b"", None, 0
     if directory is None:
@@ -199,7 +199,7 @@ def _deep(path: Path, levels: Shaped[Array, "H W 3"], full: int, data: bytes, di
 
 
 def _is_stretched(levels: Shaped[Array, "H W 3"], depth: int) -> bool:
-    """Whether samples of so many bits fill 16: shifted up, and perhaps repeated below."""
+    """Return whether samples of so many bits fill 16: shifted up, and perhaps repeated below."""
     high = levels >> (16 - depth) << (16 - depth)
     low = levels - high
     return not low.any() or bool((low == levels >> depth).all())
@@ -229,7 +229,7 @@ def _is_of_curves(profile: bytes) -> bool:
 
 
 def _own_colours(path: Path, data: bytes, image: Image.Image) -> Colours | None:
-    """What a file without a profile says of its colours."""
+    """Return the colours that a file without a profile states."""
     if image.format == "PNG":
         found = of_png(png_chunks(data))
         if isinstance(found, str):
@@ -265,7 +265,7 @@ def _turned(pixels: Shaped[Array, "h w 3"], orientation: int) -> Shaped[Array, "
 
 
 def _decode_deep(path: Path, data: bytes) -> Shaped[Array, "H W 3"]:
-    """16-bit pixels through OpenCV (Pillow has no 16-bit RGB), as stored."""
+    """Decode 16-bit pixels with OpenCV (Pillow has no 16-bit RGB), as stored."""
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if pixels is None or pixels.dtype != np.uint16:
@@ -274,7 +274,7 @@ def _decode_deep(path: Path, data: bytes) -> Shaped[Array, "H W 3"]:
 
 
 def _open(path: Path, data: bytes) -> Image.Image:
-    """Pillow's: unlike OpenCV it refuses a truncated file instead of filling it with gray."""
+    """Decode with Pillow, which refuses a truncated file where OpenCV fills it with gray."""
     try:
         image = Image.open(io.BytesIO(data), formats=FORMATS)
         if image.width * image.height > PIXEL_LIMIT:  # stricter than Pillow's own limit

@@ -1,4 +1,4 @@
-"""Still pictures in and out: float32 RGB in [0, 1], sRGB as stored, upright."""
+"""Reading and writing of still images: float32 RGB in [0, 1], sRGB as stored, upright."""
 
 import warnings
 from pathlib import Path
@@ -32,11 +32,11 @@ def read_picture_srgb(path: Path, transfer: Transfer = "srgb") -> Float[Array, "
     """Read an image of 8 to 16 bits per channel; see `hfb.io.media.images.image_decoding.decode_picture`.
 
     Args:
-        path: of the image.
+        path: the image file.
         transfer: the light that the user knows it to store; the values stay as they are unless it is ``srgb``.
 
     Raises:
-        InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
+        InputError: missing, empty, truncated, too large, or no image; the text names the fix.
     """
     return decode_picture(Path(path), transfer).pixels
 
@@ -45,10 +45,10 @@ def stored_png(path: Path) -> bytes:
     """Read a PNG file's bytes after decoding it once as a check; they go into pages and other files.
 
     Args:
-        path: of the image.
+        path: the image file.
 
     Raises:
-        InputError: as `read_picture_srgb`, or it is a picture of another kind.
+        InputError: as `read_picture_srgb`, or it is an image of another kind.
     """
     decode_picture(path)
     data = path.read_bytes()
@@ -61,7 +61,7 @@ def recorded_exposure(path: Path) -> tuple[float, str] | None:
     """Return a photograph's exposure time [s] by its EXIF, and where it is stated; None without.
 
     Args:
-        path: of the image.
+        path: the image file.
     """
     try:
         with warnings.catch_warnings():
@@ -69,7 +69,7 @@ def recorded_exposure(path: Path) -> tuple[float, str] | None:
             with Image.open(path, formats=FORMATS) as image:
                 seconds = image.getexif().get_ifd(_EXIF_DIRECTORY).get(_EXPOSURE_TAG)
         value = float(seconds) if seconds is not None else 0.0
-    except Exception:  # metadata that cannot be read tells nothing
+    except Exception:  # unreadable metadata is ignored
         return None
     return (value, f"the EXIF entry ExposureTime of {path.name}") if 0 < value < 10 else None
 
@@ -78,7 +78,7 @@ def write_png(path: Path, picture_srgb: Float[Array, "H W 3"], bits: int = 8) ->
     """Write an 8 or 16 bit PNG, atomically.
 
     Args:
-        path: of the image.
+        path: the image file.
         picture_srgb: in [0, 1]; clipped, rounded to nearest.
         bits: 8 or 16 per channel.
     """
@@ -89,7 +89,7 @@ def write_matte(path: Path, matte: Float[Array, "H W"]) -> None:
     """Write a 16-bit gray PNG (steps of 1/65535), atomically.
 
     Args:
-        path: of the image.
+        path: the image file.
         matte: in [0, 1].
     """
     _write_levels(Path(path), matte, 16)
@@ -99,7 +99,7 @@ def read_matte(path: Path) -> Float[Array, "H W"]:
     """Read a matte: the mean of the channels of any image that `read_picture_srgb` reads, its values as they are.
 
     Args:
-        path: of the image.
+        path: the image file.
     """
     return read_picture_srgb(path, "linear").mean(-1, dtype=np.float32)
 

@@ -1,4 +1,4 @@
-"""What a file is that is no picture hfb reads, told by its content: camera raw, HEIC, and others of their kind."""
+"""Recognition of image files that hfb does not read, by content: camera raw, HEIC and others."""
 
 from collections.abc import Iterator
 from io import BufferedIOBase
@@ -112,7 +112,7 @@ def number(directory: Directory, tag: int, usual: int) -> int:
     """Return a tag's largest whole number.
 
     Args:
-        directory: of a TIFF.
+        directory: directory of a TIFF.
         tag: its number.
         usual: value where the tag is missing or damaged.
     """

@@ -1,7 +1,7 @@
 """TIFF layouts of machine vision that Pillow and OpenCV read wrongly: 9 to 15 bits packed, 16 bits plane by plane.
 
-A plane is copied into a plain gray TIFF of 8 or 16 bits, which libtiff decompresses whatever its compression is; packed
-samples are then taken apart.
+A plane is copied into a plain gray TIFF of 8 or 16 bits, which libtiff decompresses whatever its compression; packed
+samples are then unpacked.
 """
 
 import io
@@ -39,7 +39,7 @@ def read_unusual(path: Path, data: bytes, directory: Directory) -> tuple[Shaped[
     """Return the levels as stored (not turned), and the highest that their bits hold.
 
     Args:
-        path: of the file, for errors.
+        path: the file, named in errors.
         data: content of the file.
         directory: first one of the TIFF.
 
@@ -89,7 +89,7 @@ def without_orientation(data: bytes) -> bytes:
 def _plane(
     data: bytes, directory: Directory, plane: int, planes: int, width: int, as_bytes: bool
 ) -> Shaped[Array, "H w"]:
-    """One plane's rows, as bytes or as samples of 16 bits."""
+    """Return one plane's rows, as bytes or as samples of 16 bits."""
     mini = _gray_tiff(data, directory, plane, planes, width, 8 if as_bytes else 16)
     with Image.open(io.BytesIO(mini), formats=("TIFF",)) as image:
         pixels = np.asarray(image)
@@ -136,7 +136,7 @@ def _numbers(directory: Directory, tag: int) -> tuple[int, ...]:
 
 
 def _unpacked(rows: Shaped[Array, "H b"], bits: int, samples: int) -> Shaped[Array, "H n"]:
-    """Samples of so many bits out of rows of bytes, the highest bit first as TIFF has it in either byte order."""
+    """Unpack samples of so many bits from rows of bytes, the highest bit first, as in TIFFs of either byte order."""
     weights = (1 << np.arange(bits - 1, -1, -1)).astype(np.uint16)
     levels = np.empty((len(rows), samples), np.uint16)
     for top in range(0, len(rows), _BAND):

@@ -30,10 +30,13 @@ class CalibratedCamera:
     """One camera of a calibration, in OpenCV's own pixel convention.
 
     Attributes:
-        K: camera matrix [px]. distortion: OpenCV's coefficients; all zero for a pinhole.
+        K: camera matrix [px].
+        distortion: OpenCV's coefficients; all zero for a pinhole.
         fisheye: whether they are of OpenCV's fisheye model, which is no pinhole with zeros either.
-        R_camera_world, t_m: world to camera, x = R X + t.
-        video: the file's name, where the calibration says it. first_frame: the recording's number of its frame 0.
+        R_camera_world: world to camera, x = R X + t.
+        t_m: world to camera, x = R X + t.
+        video: the file's name, where the calibration says it.
+        first_frame: the recording's number of its frame 0.
     """
 
     name: str
@@ -64,10 +67,10 @@ class CalibratedCamera:
         """Return, for each pixel of a window of the pinhole's image, its position (x, y) in the stored image [px].
 
         Args:
-            left: of the window [px].
-            top: of the window [px].
-            width: of the window [px].
-            height: of the window [px].
+            left: left edge of the window [px].
+            top: top edge of the window [px].
+            width: width of the window [px].
+            height: height of the window [px].
         """
         shifted = self.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
         return np.stack(undistortion_maps(self.K, self.distortion, self.fisheye, shifted, (width, height)))
@@ -90,7 +93,7 @@ class CalibratedCamera:
         return pixels
 
     def pinhole(self) -> PinholeCamera:
-        """Return the camera of the undistorted picture, in this project's pixel convention."""
+        """Return the camera of the undistorted image, in this project's pixel convention."""
         K = self.K
         fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5))
         return PinholeCamera(fx, fy, cx, cy, self.height, self.width)
@@ -100,7 +103,7 @@ def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
     """Read a Calib*.toml of Pose2Sim or a cameras.json; cameras in the file's order.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: missing, damaged, a distortion model that is not read, or a camera without one of its entries.
@@ -119,7 +122,7 @@ def camera_of(cameras: tuple[CalibratedCamera, ...], video: str) -> CalibratedCa
     """Return the camera that took a video; see `number_of_camera`.
 
     Args:
-        cameras: of one calibration.
+        cameras: cameras of one calibration.
         video: file name of the video.
     """
     number = number_of_camera([(camera.name, camera.video) for camera in cameras], video)
@@ -242,7 +245,7 @@ def _matrix(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
 
 
 def _rotation(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
-    """A matrix, as Caliscope has it, or Rodrigues' vector, also as the column of older Pose2Sim."""
+    """Read a matrix, as of Caliscope, or Rodrigues' vector, also as the column of older Pose2Sim."""
     value = part.get(key)
     if not isinstance(value, list) or not any(isinstance(row, list) and len(row) == 3 for row in value):
         return np.asarray(cv2.Rodrigues(_vector(part, key, where))[0], np.float64)
@@ -253,7 +256,7 @@ def _rotation(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]
 
 
 def _vector(part: dict[str, Any], key: str, where: str) -> Float[Array, "3"]:
-    """Three numbers in a row, or in a column."""
+    """Read three numbers in a row, or in a column."""
     value = part.get(key)
     if isinstance(value, list) and len(value) == 3 and all(isinstance(row, list) and len(row) == 1 for row in value):
         part = {key: [row[0] for row in value]}
@@ -261,7 +264,7 @@ def _vector(part: dict[str, Any], key: str, where: str) -> Float[Array, "3"]:
 
 
 def _distortion(part: dict[str, Any], key: str, where: str) -> tuple[Float[Array, "n"], bool]:
-    """(coefficients, whether they are a fisheye's)."""
+    """Return (coefficients, whether they are a fisheye's)."""
     values = part.get(key, [0.0] * 4)
     if not isinstance(values, list):
         raise InputError(f"{where}: {key} must be 4, 5, 8, 12 or 14 numbers, as OpenCV has them.")

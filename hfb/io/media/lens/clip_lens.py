@@ -1,6 +1,6 @@
-"""The lens that clip.toml names: out of Pose2Sim's Calib.toml, cameras.json, or OpenCV's, ROS' or Kalibr's file.
+"""The lens that clip.toml names: from Pose2Sim's Calib.toml, cameras.json, or OpenCV's, ROS' or Kalibr's file.
 
-Where the camera stands is not asked for: a lens has no place.
+The camera's pose is not needed, only its lens.
 """
 
 from collections.abc import Mapping
@@ -43,11 +43,11 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
     Args:
         camera: entries of clip.toml.
         video: the footage's file name: a calibration of several cameras is searched by it where no name is given.
-        height: of the footage's frames [px].
-        width: of the footage's frames [px].
+        height: height of the footage's frames [px].
+        width: width of the footage's frames [px].
 
     Raises:
-        InputError: missing, damaged, no such camera in it, of a distortion model that is not read, or of pictures of
+        InputError: missing, damaged, no such camera in it, of a distortion model that is not read, or of images of
             another size.
     """
     path = camera.calibration
@@ -64,7 +64,7 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
 
 
 def _chosen(path: Path, name: str | None, video: str) -> tuple[str, dict[str, Any]]:
-    """(beginning of an error, entries of the camera that took the video)."""
+    """Return (beginning of an error, entries of the camera that took the video)."""
     document = read_document(path)
     if _find(document, _MATRIX) is not None:
         return str(path), document
@@ -91,7 +91,7 @@ def _text(value: Any) -> str | None:
 
 
 def _sections(document: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Cameras by their names: tables that have a matrix, at the top, or within one table as cameras.json has them."""
+    """Return cameras by their names: tables that have a matrix, at the top, or within one table as in cameras.json."""
     tables = [(str(key), part) for key, part in list(document.items())[:_MOST_SECTIONS] if isinstance(part, dict)]
     inner = [(str(key), part) for _, table in tables for key, part in list(table.items())[:_MOST_SECTIONS]]
     for level in (tables, inner):
@@ -120,7 +120,7 @@ def _lens(where: str, entries: dict[str, Any]) -> Lens:
 
 
 def _matrix(where: str, value: Any) -> Float[Array, "3 3"]:
-    """K out of nine numbers, or of Kalibr's fx fy cx cy."""
+    """Read K from nine numbers, or from Kalibr's fx fy cx cy."""
     flat = _numbers(value.get("data") if isinstance(value, dict) else value, where)
     if flat.size == 4:
         K = np.array([[flat[0], 0, flat[2]], [0, flat[1], flat[3]], [0, 0, 1]])
@@ -136,7 +136,7 @@ def _matrix(where: str, value: Any) -> Float[Array, "3 3"]:
 
 
 def _find(entries: Mapping[str, Any], names: tuple[str, ...]) -> Any:
-    """The entry of the first of some names, in any spelling; None where there is none."""
+    """Return the entry of the first of some names, in any spelling; None where there is none."""
     known = {plain(str(key)): value for key, value in entries.items() if value is not None}
     return next((known[name] for name in names if name in known), None)
 
@@ -149,7 +149,7 @@ def _numbers(value: Any, where: str) -> Float[Array, "n"]:
 
 
 def _size(entries: dict[str, Any]) -> tuple[int, int] | None:
-    """(height, width) [px] where the file says it."""
+    """Return (height, width) [px] where the file states it."""
     pair = _find(entries, _SIZE)
     apart = [_find(entries, _HEIGHT), _find(entries, _WIDTH)]
     sides = [*reversed(pair)] if isinstance(pair, list) and len(pair) == 2 else apart

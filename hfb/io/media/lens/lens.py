@@ -1,4 +1,4 @@
-"""A lens as it was calibrated: pictures made free of its distortion."""
+"""A calibrated lens, and the removal of its distortion."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +13,7 @@ _HARMLESS_PX = 0.05
 
 @dataclass(frozen=True)
 class Lens:
-    """OpenCV's standard or fisheye model; numbers only, so it travels with the footage.
+    """OpenCV's standard or fisheye model; numbers only, so that it can be sent with the footage.
 
     Attributes:
         K: fx, fy, cx, cy [px] in OpenCV's convention: the first pixel's centre is at (0, 0).
@@ -34,15 +34,15 @@ class Lens:
         """Return whether an image of this size changes at all when it is undistorted.
 
         Args:
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         return _maps(self, height, width)[0] is not None
 
     def undistorted(self, picture: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
         """Resample an image as a pinhole camera of the same matrix takes it; its border repeats outside.
 
-        A lens that moves no pixel by more than a twentieth of one leaves the picture as it is.
+        A lens that moves no pixel by more than a twentieth of one leaves the image as it is.
 
         Args:
             picture: as stored.
@@ -63,10 +63,10 @@ def undistortion_maps(
     """Return, for each pixel of a pinhole's image, its position (x, y) in the stored image [px].
 
     Args:
-        K: of the stored image, in OpenCV's convention.
-        distortion: of the stored image, in OpenCV's convention.
+        K: camera matrix of the stored image, in OpenCV's convention.
+        distortion: distortion of the stored image, in OpenCV's convention.
         fisheye: use OpenCV's fisheye model.
-        new_K: of the pinhole.
+        new_K: camera matrix of the pinhole.
         size: (width, height).
     """
     initialize = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap

@@ -21,7 +21,7 @@ def read_document(path: Path) -> dict[str, Any]:
     """Read a calibration file; empty where it is not a table of entries.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: missing, too large, damaged, or nested without end.
@@ -63,7 +63,7 @@ def _json(path: Path, text: str) -> dict[str, Any]:
 
 
 def _yaml(path: Path, text: str) -> dict[str, Any]:
-    """Plain YAML, as ROS and Kalibr write it: OpenCV's own parser takes only some of it."""
+    """Parse plain YAML of ROS and Kalibr, of which OpenCV's own parser reads only some."""
     if len(text) > _PLAIN_YAML_LIMIT or _ALIAS.search(text):
         raise InputError(f"{path}: is too large for a calibration, or repeats parts by aliases; export it again.")
     try:
@@ -74,7 +74,7 @@ def _yaml(path: Path, text: str) -> dict[str, Any]:
 
 
 def _named(value: Any) -> Any:
-    """With texts as the keys of every table: YAML's may be numbers and dates."""
+    """Convert the keys of every table to texts; YAML's may be numbers and dates."""
     if isinstance(value, dict):
         return {str(key): _named(one) for key, one in value.items()}
     return [_named(one) for one in value] if isinstance(value, list) else value
@@ -91,7 +91,7 @@ def _opencv(path: Path, text: str) -> dict[str, Any]:
 
 
 def _node(node: Any) -> Any:
-    """A node of OpenCV's storage; matrices are dictionaries that have their numbers as `data`."""
+    """Convert a node of OpenCV's storage; matrices become dictionaries with their numbers as `data`."""
     if node.isMap():
         return {key: _node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118  a node is no dictionary
     if node.isSeq():
@@ -102,7 +102,7 @@ def _node(node: Any) -> Any:
 
 
 def _depth(text: str) -> int:
-    """How many brackets, tags or steps of indentation lie within each other, at most."""
+    """Return the deepest nesting of brackets, tags or indentation."""
     deepest, depth = max((len(line) - len(line.lstrip()) for line in text.splitlines()), default=0) // 4, 0
     for found in re.finditer(r"[\[{]|[\]}]|</|/>|<\w", text):
         depth += 1 if found[0] in "[{" or found[0][-1].isalnum() else -1

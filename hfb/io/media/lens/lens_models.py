@@ -1,6 +1,6 @@
-"""Which distortion model a calibration's coefficients belong to: OpenCV's standard one, OpenCV's fisheye, or neither.
+"""Distortion models of calibrations: OpenCV's standard one, OpenCV's fisheye, or an unsupported one.
 
-Both have lists of four numbers (k1 k2 p1 p2 against k1 k2 k3 k4), so that only the file's own words tell them apart.
+Both have lists of four numbers (k1 k2 p1 p2 against k1 k2 k3 k4), so that only the file's own words distinguish them.
 """
 
 import re
@@ -121,9 +121,9 @@ _PINHOLE_AT_ZERO = frozenset(
 """Other models that are a pinhole where all of their coefficients are zero."""
 
 _MODEL_KEYS = ("distortionmodel", "distortiontype", "modeltype", "projectionmodel", "projectiontype", "projection")
-"""What they say is a model, known or not."""
+"""Keys whose value is a model, known or not."""
 _LOOSE_KEYS = ("cameramodel", "lensmodel", "model", "type", "lenstype", "cameratype", "lens", "intrinsictype")
-"""What they say may be a product's name, too."""
+"""Keys whose value may be a product's name, too."""
 _LENGTHS = (4, 5, 8, 12, 14)
 _BY_NAME = {False: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), True: ("k1", "k2", "k3", "k4")}
 
@@ -132,7 +132,7 @@ def plain(word: str) -> str:
     """Return a word without case, spaces and signs: ``Plumb_Bob`` is ``plumbbob``.
 
     Args:
-        word: of a file.
+        word: a word of a file.
     """
     return re.sub(r"[^a-z0-9]", "", word.lower())
 
@@ -141,8 +141,8 @@ def is_fisheye(entries: Mapping[str, Any], coefficients: Float[Array, "n"], wher
     """Return whether coefficients are those of OpenCV's fisheye model; else they are of its standard model.
 
     Args:
-        entries: of one camera in its file.
-        coefficients: of distortion.
+        entries: entries of one camera in its file.
+        coefficients: coefficients of distortion.
         where: begins an error.
 
     Raises:
@@ -173,7 +173,7 @@ def checked_coefficients(values: Float[Array, "n"], fisheye: bool, where: str) -
     """Check coefficients and return them as OpenCV expects them.
 
     Args:
-        values: of a file.
+        values: values of a file.
         fisheye: whether the model is OpenCV's fisheye.
         where: begins an error.
 

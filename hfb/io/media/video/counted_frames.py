@@ -1,6 +1,6 @@
-"""Frames that can only be counted: a decoder rests where one reader stopped, for the next one to read on.
+"""Frames that can only be counted: a decoder is kept where one reader stopped, for the next one.
 
-A clip is read a few frames at a time; decoded from its start each time, it would cost the square of its length.
+A clip is read a few frames at a time; decoding from the start each time would take quadratic time.
 """
 
 from collections import deque
@@ -22,7 +22,7 @@ class _Resting:
     frames: Numbered
 
 
-# One, since a decoder holds pictures. A thread that takes it out has it for itself: both ends are atomic.
+# One, since a decoder holds images. A thread that takes it owns it: both operations are atomic.
 _resting: deque[_Resting] = deque(maxlen=1)
 
 
@@ -32,7 +32,7 @@ def read_on(
     """Yield frames `start` to `stop` (exclusive) of the `count` that a file has; ends early where the file does.
 
     Args:
-        path: of the video.
+        path: the video file.
         start: first frame.
         stop: frame after the last one.
         count: frames of the whole file.
@@ -41,7 +41,7 @@ def read_on(
     file = _version(path)
     frames = _taken(file, start) or from_start()
     for number, frame in frames:
-        if number == stop - 1 and stop < count and file:  # before the last is given: who has it may ask for no more
+        if number == stop - 1 and stop < count and file:  # before the last: its reader may stop there
             _resting.append(_Resting(file, stop, frames))
         if number >= start:
             yield frame
@@ -50,7 +50,7 @@ def read_on(
 
 
 def _taken(file: tuple[int, ...], start: int) -> Numbered | None:
-    """The resting decoder, if it comes to a frame of this very file; another one has had its time."""
+    """Return the resting decoder if it is of this very file and not past the start; it is removed in any case."""
     try:
         resting = _resting.pop()
     except IndexError:
@@ -59,7 +59,7 @@ def _taken(file: tuple[int, ...], start: int) -> Numbered | None:
 
 
 def _version(path: Path) -> tuple[int, ...]:
-    """Tells a file from every other one, and from itself when it was changed; empty where there is none."""
+    """Return a file's identity, which changes when its content does; empty where there is no file."""
     try:
         facts = path.stat()
     except OSError:

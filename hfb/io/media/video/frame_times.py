@@ -1,4 +1,4 @@
-"""When frames follow each other: the usual interval, what is irregular, and clocks that are too coarse."""
+"""Intervals between frames: the usual one, irregular ones, and clocks that are too coarse."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Interlaced video: frames that hold two instants, told by their flags, by the container, or by how they look."""
+"""Detection of interlaced video by the frames' flags, by the container, or by the image."""
 
 import shlex
 from pathlib import Path
@@ -21,20 +21,20 @@ def stated_interlaced(stream: av.VideoStream) -> bool:
     """Return whether the container says so for a codec without flags in its frames; else the frames' own flags count.
 
     Args:
-        stream: before decoding.
+        stream: stream before decoding.
     """
     codec = stream.codec_context
     return codec.field_order in _INTERLACED_ORDERS and codec.name not in _FLAGGED_BY_DECODER
 
 
 class Scan:
-    """Watches frames go by in the order in which they are shown."""
+    """Checks frames in the order of display for interlacing."""
 
     def __init__(self, path: Path, stated: bool) -> None:
         """Prepare the checks of a video.
 
         Args:
-            path: of the video, for errors.
+            path: the video file, named in errors.
             stated: see `stated_interlaced`.
         """
         self._path, self._stated = path, stated
@@ -79,7 +79,7 @@ class Scan:
         return f"ffmpeg -i {shlex.quote(self._path.name)} -vf {filters} -crf 12 OUT.mp4"
 
     def _compare(self, frame: av.VideoFrame) -> None:
-        """With FFmpeg's own detector, which compares each frame's lines with its neighbours'."""
+        """Compare each frame's lines with their neighbours' by FFmpeg's own detector."""
         self._compared += 1
         try:
             if self._filter is None:

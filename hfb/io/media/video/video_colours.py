@@ -1,4 +1,4 @@
-"""How a video's numbers are meant as colours, where its frames, its container or the practice of players tell it."""
+"""Colours of a video by its frames' tags, its container's, or the convention of players."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,7 @@ def stated_colours(stream: av.VideoStream) -> Stated:
     Call it before the first frame is decoded, which overwrites it.
 
     Args:
-        stream: of the video.
+        stream: stream of the video.
     """
     codec = stream.codec_context
     return int(codec.colorspace), int(codec.color_range), int(codec.color_trc), int(codec.color_primaries)
@@ -33,7 +33,7 @@ def stated_colours(stream: av.VideoStream) -> Stated:
 def source_colours(frame: av.VideoFrame, stated: Stated) -> tuple[int | None, int | None]:
     """Return the (matrix, range) to decode a frame with; None where the frame states it, or has no such thing.
 
-    Untagged video is BT.709 to players above 576 lines and BT.601 below; swscale by itself takes all for BT.601.
+    Players treat untagged video as BT.709 above 576 lines and as BT.601 below; swscale alone treats all as BT.601.
 
     Args:
         frame: decoded.
@@ -63,7 +63,7 @@ def refuse_hdr(frame: av.VideoFrame, stated: Stated, name: str) -> None:
     Args:
         frame: decoded.
         stated: the container's statement, by `stated_colours`.
-        name: of the video.
+        name: name of the video.
 
     Raises:
         InputError: the video is of high dynamic range.
@@ -82,7 +82,7 @@ def colour_remarks(frame: av.VideoFrame, stated: Stated, name: str) -> Iterator[
     Args:
         frame: decoded.
         stated: the container's statement, by `stated_colours`.
-        name: of the video.
+        name: name of the video.
     """
     tags = int(frame.colorspace), stated[0]
     if is_yuv(frame) and all(tag in _UNTAGGED for tag in tags) and frame.height > _MOST_LINES_OF_SD:

@@ -1,4 +1,4 @@
-"""Opening a video: the file alone, as a container that hfb knows, with frames of a bounded size."""
+"""Opening of a video: a local file, in a supported container, with frames of a bounded size."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def open_video(path: Path) -> av.container.InputContainer:
     """Open a container whose frames may be decoded; the caller closes it.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Raises:
         InputError: it holds no video stream, or frames of an absurd size.
@@ -30,7 +30,7 @@ def open_video(path: Path) -> av.container.InputContainer:
     """
     if path.is_file():
         with path.open("rb") as file:
-            if kind := foreign_kind(file):  # FFmpeg takes a camera's CR3 and a HEIC picture for videos
+            if kind := foreign_kind(file):  # FFmpeg takes a camera's CR3 and a HEIC image for videos
                 raise InputError(f"{path}: {kind}.")
     # "file:" keeps a name such as "concat:a|b" from being taken for one of FFmpeg's protocols.
     name = f"file:{path.absolute()}"
@@ -77,9 +77,9 @@ def check_size(path: Path, width: int, height: int) -> None:
     """Check that a frame is not too large.
 
     Args:
-        path: of the video.
-        width: of the frame [px].
-        height: of the frame [px].
+        path: the video file.
+        width: width of the frame [px].
+        height: height of the frame [px].
 
     Raises:
         InputError: it has more pixels than `PIXEL_LIMIT`.

@@ -1,4 +1,4 @@
-"""Where every frame of a video lies: exact time stamps, and reading from the middle as if from the start."""
+"""An index of a video's frames: exact time stamps, and exact reading from the middle."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -33,18 +33,19 @@ class VideoIndex:
 
     Attributes:
         stamps: their time stamps, in units of the stream's time base; their numbers where they are `counted`.
-        keys: those of frames that decode by themselves.
-        times_s: when they are shown, in seconds.
-        height, width: as shown: the container's rotation is applied, and pixels are square.
+        keys: those of key frames, which decode without others.
+        times_s: times at which they are shown.
+        height: as shown: the container's rotation is applied, and pixels are square.
+        width: as shown: the container's rotation is applied, and pixels are square.
         rate: (frames per second, where that is from), should they have to be counted.
         aspect: width / height of a pixel as stored; see `hfb.io.media.video.video_pixels.pixel_aspect`.
         counted: why frames go by number, one sentence; None where they go by their time stamps.
-        loss: what is known to be missing from the file, one sentence.
+        loss: known loss in the file, one sentence.
         tick_s: the resolution of `times_s`.
         colours: as the container states them; see `hfb.io.media.video.video_colours.stated_colours`.
         capture: (frames per second, where that stands) where the file says at what rate it was captured.
         interlaced: whether the container alone says so; see `hfb.io.media.video.interlacing.stated_interlaced`.
-        remarks: what else a user should know, one sentence each.
+        remarks: further remarks for the user, one sentence each.
     """
 
     path: Path
@@ -69,7 +70,7 @@ class VideoIndex:
         """Return the frames numbered at the stated rate; they are never read from the middle then.
 
         Args:
-            why: what is wrong with the file's time stamps, as the first words of a sentence.
+            why: problem of the file's time stamps, as the first words of a sentence.
         """
         numbers, (fps, source) = np.arange(len(self.stamps)), self.rate
         counted = (
@@ -104,7 +105,7 @@ class VideoIndex:
         """Yield some frames as `frames` does; those between are decoded or skipped.
 
         Args:
-            numbers: of the frames, ascending.
+            numbers: numbers of the frames, ascending.
         """
         worth_a_jump = 3 * len(self.stamps) / max(len(self.keys), 1)
         breaks = np.flatnonzero(np.diff(numbers) > worth_a_jump) + 1
@@ -140,14 +141,14 @@ class VideoIndex:
         return reached
 
     def _decoded(self, start: int, stop: int) -> Iterator[av.VideoFrame]:
-        """Decoded frames by their stamps: the same ones, whether decoding begins at the start or not."""
+        """Yield decoded frames by their stamps, the same ones wherever decoding begins."""
         if self.counted:
             count = len(self.stamps)
             yield from read_on(self.path, start, min(stop, count), count, lambda: self._from(None))
             return
         wanted = self.stamps[start:stop]
         keys = self.keys[self.keys <= wanted[0]]
-        # One key frame earlier than needed: what refers across a key frame (open groups) is complete then.
+        # One key frame earlier than needed, since frames of open groups refer across a key frame.
         origin = int(keys[-2]) if len(keys) > 1 else None
         given = 0
         for stamp, frame in self._from(origin):
@@ -175,7 +176,7 @@ class VideoIndex:
                 return
 
     def _from(self, stamp: int | None) -> Iterator[tuple[int, av.VideoFrame]]:
-        """(stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
+        """Yield (stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
         try:
             with open_video(self.path) as container:
                 stream = video_stream(container)
@@ -197,7 +198,7 @@ def index_video(path: Path) -> VideoIndex:
     """Read the numbers of all packets; only one frame is decoded.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Raises:
         InputError: no video, no frame, high dynamic range, or an absurd size.
@@ -247,7 +248,7 @@ def index_video(path: Path) -> VideoIndex:
 
 
 def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
-    """With the colours that the container states, and what a user should know of them."""
+    """Decode the first frame; return it with the container's stated colours and remarks for the user."""
     try:
         with open_video(path) as container:
             stream = video_stream(container)
@@ -262,7 +263,7 @@ def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
 
 
 def _recorded_exposure(metadata: dict[str, str]) -> tuple[float, str] | None:
-    """(seconds, where it stands) of container metadata that tell it, as some cameras do: a number or a fraction."""
+    """Return (seconds, source) of container metadata with an exposure time, a number or a fraction."""
     for name, text in sorted(metadata.items()):
         if name.lower() not in _EXPOSURE_KEYS:
             continue

@@ -1,4 +1,4 @@
-"""What a video file says of itself without being decoded: time stamps, rate, and how much of it ought to be there."""
+"""Facts about a video without decoding: time stamps, rate, and missing packets."""
 
 import re
 from dataclasses import dataclass
@@ -10,10 +10,10 @@ from hfb.io.media.video.video_file import FRAME_LIMIT
 from hfb.typing import Array, Float
 
 ASSUMED_FPS = 30.0
-"""Of footage that has no clock and states no rate."""
+"""Frame rate of footage that has no clock and states no rate."""
 
 _ROUNDING_FRAMES = 2
-"""A container's duration may be longer than its pictures by so many frames: sound, or rounding."""
+"""A container's duration may be longer than its images by so many frames: sound, or rounding."""
 
 
 _SOUND_ROUNDING_S = 0.25
@@ -25,13 +25,13 @@ class Packets:
 
     Attributes:
         stamps: presentation stamps of all whole packets that are shown, in the file's order; None where one has none.
-        keys: those of packets that decode by themselves.
-        hidden: how many more there are that are not shown: a video that was trimmed without being encoded anew keeps
-            what its first frames refer to.
+        keys: those of key packets, which decode without others.
+        hidden: number of packets that are not shown: a video that was trimmed without re-encoding keeps the packets
+            that its first frames refer to.
         broken: whether the file breaks off.
         as_decoded: whether the stamps, for all that is known, follow the order of decoding, not that of showing. AVI
             stores none, and those that FFmpeg makes up for it do, where frames refer to later ones.
-        sound_s: when the file's sound ends, on the clock of its time stamps; 0 without.
+        sound_s: end of the file's sound, on the clock of its time stamps; 0 without.
     """
 
     stamps: list[int | None]
@@ -47,7 +47,7 @@ def read_packets(container: av.container.InputContainer, stream: av.VideoStream)
 
     Args:
         container: opened.
-        stream: of the video.
+        stream: stream of the video.
     """
     stamps: list[int | None] = []
     keys: list[int] = []
@@ -80,8 +80,8 @@ def rate_of(stream: av.VideoStream, times_s: Float[Array, "t"]) -> tuple[float, 
     """Return (frames per second, their source) for frames whose time stamps cannot be used.
 
     Args:
-        stream: of the video.
-        times_s: such stamps as there are, ascending [s].
+        stream: stream of the video.
+        times_s: existing time stamps, ascending.
     """
     # A bare stream has no stamps and no header: its "average" is FFmpeg's own assumption, the codec may know better.
     stated = stream.average_rate if len(times_s) else stream.codec_context.framerate
@@ -99,7 +99,7 @@ def loss_of(
 
     Args:
         container: opened.
-        stream: of the video.
+        stream: stream of the video.
         packets: by `read_packets`.
         times_s: the packets' time stamps, ascending [s].
     """
@@ -117,7 +117,7 @@ def loss_of(
 
 
 def _stated_s(container: av.container.InputContainer, stream: av.VideoStream) -> float:
-    """How long the pictures last [s]; of the container, whose sound may last longer, where they do not say."""
+    """Return how long the images last [s], by the stream or by the container, whose sound may last longer."""
     if stream.duration and stream.time_base:
         return float(stream.duration * stream.time_base)
     told = re.fullmatch(r"(\d{1,4}):(\d\d):(\d\d(?:\.\d{1,9})?)", stream.metadata.get("DURATION", ""))  # Matroska's tag

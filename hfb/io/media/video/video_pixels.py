@@ -1,4 +1,4 @@
-"""A decoded frame as a picture: RGB, turned and mirrored as players do it, with square pixels as players show them."""
+"""A decoded frame as an image: RGB, turned, mirrored and stretched to square pixels as by players."""
 
 import struct
 from pathlib import Path
@@ -46,7 +46,7 @@ def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NO
 
 
 def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
-    """The stored picture as RGB levels, within half a level of 8 bits of the standard's formula."""
+    """Return the stored image as RGB levels, within half a level of 8 bits of the standard's formula."""
     matrix, color_range = source_colours(frame, stated)
     form = "rgb48le" if is_deep(frame) else "rgb24"
     rgb = frame.reformat(format=form, interpolation=_CONVERSION, src_colorspace=matrix, src_color_range=color_range)
@@ -57,10 +57,10 @@ def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
 
 
 def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
-    """Turned and mirrored by the display matrix: players apply it, the decoder does not.
+    """Turn and mirror by the display matrix, which players apply and the decoder does not.
 
-    The matrix takes (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight ways to lay a
-    picture on its sides counts.
+    The matrix maps (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight rotations and
+    reflections by right angles is applied.
     """
     told: Any = frame.side_data.get("DISPLAYMATRIX")
     if told is None:
@@ -94,10 +94,10 @@ def is_deep(frame: av.VideoFrame) -> bool:
 def pixel_aspect(stream: av.VideoStream) -> float:
     """Return width / height of a stored pixel before rotation by the container; HDV and anamorphic ones are not 1.
 
-    1 where the file does not say, says what no camera does, or is within a hundredth of it: encoders round.
+    It is 1 where the file states none, states an implausible one, or one within a hundredth of 1, since encoders round.
 
     Args:
-        stream: of the video.
+        stream: stream of the video.
     """
     aspect = float(stream.sample_aspect_ratio or 1)
     believed = 1 / _MOST_STRETCH <= aspect <= _MOST_STRETCH and abs(aspect - 1) > _AS_GOOD_AS_SQUARE
@@ -118,10 +118,10 @@ def square_size(height: int, width: int, aspect: float) -> tuple[int, int]:
 def stretched(picture: Shaped[Array, "h w 3"], height: int, width: int) -> Shaped[Array, "H W 3"]:
     """Resize an image of uint8, uint16 or float32, sharply.
 
-    Lanczos keeps what it shows in place to 0.015 px; OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off.
+    Lanczos keeps positions to 0.015 px; OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off.
 
     Args:
-        picture: to resize.
+        picture: image to resize.
         height: [px].
         width: [px].
     """

@@ -1,4 +1,4 @@
-"""Video in: exact frames, averages in linear light (a longer exposure), a clean plate from the median.
+"""Reading of video: exact frames, averages in linear light (a longer exposure), a clean plate by the median.
 
 Frames stream: nothing here ever holds a whole video. `stop` is exclusive, frames count from 0.
 """
@@ -23,7 +23,7 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
     """Yield frames `start` to `stop` of a video as sRGB in [0, 1], upright, in square pixels.
 
     Args:
-        path: of the video.
+        path: the video file.
         start: first frame.
         stop: frame after the last one; None for all.
 
@@ -54,11 +54,11 @@ def average_frames(frames_srgb: Iterable[Float[Array, "H W 3"]]) -> Float[Array,
 def median_plate(path: Path, frames: Sequence[int], memory_bytes: int = PLATE_BYTES) -> Float[Array, "H W 3"]:
     """Return the background without the person: each pixel's median over the given frames [sRGB].
 
-    The median of an odd number of frames is the same in sRGB and in linear light. The picture is done in
-    bands of rows, one pass through the video each, so that no more than `memory_bytes` are held.
+    The median of an odd number of frames is the same in sRGB and in linear light. The image is computed in bands of
+    rows, one pass through the video each, so that no more than `memory_bytes` are held.
 
     Args:
-        path: of the video.
+        path: the video file.
         frames: their numbers.
         memory_bytes: most memory that frames take at once.
 
@@ -89,7 +89,7 @@ def _band_median(path: Path, wanted: Sequence[int], top: int, bottom: int) -> Fl
 
 
 def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Array, "H W 3"]]:
-    """Decoded RGB levels, uint8, or uint16 where the video has more than 8 bits."""
+    """Yield decoded RGB levels, uint8, or uint16 where the video has more than 8 bits."""
     if start < 0 or (stop is not None and stop <= start):
         raise InputError(f"frames {start} to {stop} are an empty range; give 0 <= start < stop.")
     if not path.exists():

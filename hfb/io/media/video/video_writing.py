@@ -1,4 +1,4 @@
-"""Video out: H.264 that browsers and players show, written beside its place and renamed when whole."""
+"""Writing of video: H.264 for browsers and players, renamed into place when complete."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
@@ -19,10 +19,10 @@ _TICK = Fraction(1, 1_000_000)
 
 
 class VideoWriter:
-    """Takes sRGB pictures of one size, one after another; the file appears when the `with` block ends well.
+    """Writes sRGB images of one size; the file appears when the `with` block ends without an error.
 
-    The file says how its colours are meant (players guess differently where it does not), and its index comes first, so
-    that a browser shows it while it loads. A picture is encoded while the next one is drawn.
+    The file states its colours (players guess differently otherwise), and its index comes first, so that a browser
+    shows it while it loads. An image is encoded while the next one is drawn.
     """
 
     def __init__(
@@ -31,11 +31,11 @@ class VideoWriter:
         """Prepare the file; it is created with the first image.
 
         Args:
-            path: of the file.
-            fps: pictures per second; None where every picture says when it is to be shown.
+            path: the file.
+            fps: images per second; None where every image says when it is to be shown.
             comment: kept in the file.
-            to_look_at: a third of the work, for what nobody measures.
-            small: the same, and a third of the bytes.
+            to_look_at: encode with a third of the work, for films that are not measured.
+            small: the same with a third of the bytes.
         """
         self._path = path
         self._fps = None if fps is None else Fraction(fps).limit_denominator(60_000)
@@ -59,7 +59,7 @@ class VideoWriter:
 
         Args:
             picture_srgb: in [0, 1]; height and width must be even, as H.264 needs them.
-            time_s: when it is shown, to a microsecond, later than the one before; where the video has no rate.
+            time_s: time at which it is shown, to a microsecond, later than the one before; where the video has no rate.
         """
         assert (time_s is None) == (self._fps is not None), "a picture has a time where the video has no rate"
         levels = np.round(np.clip(picture_srgb, 0, 1) * 255).astype(np.uint8)
@@ -81,8 +81,8 @@ class VideoWriter:
 
     def _begin(self, height: int, width: int) -> av.VideoStream:
         assert self._container is not None
-        # The same pictures give the same bytes: one thread, and no macroblock tree, whose AVX-512 code reads memory
-        # that nobody wrote where a width is no whole number of vectors.
+        # The same images give the same bytes: one thread, and no macroblock tree, whose AVX-512 code reads memory
+        # uninitialised where a width is no whole number of vectors.
         options = {**self._options, "x264-params": "mbtree=0"}
         stream = self._container.add_stream("libx264", rate=self._fps or 1000, options=options)
         stream.height, stream.width = height, width
@@ -91,7 +91,7 @@ class VideoWriter:
         codec.colorspace, codec.color_primaries, codec.color_trc, codec.color_range = _BT709, _BT709, _SRGB, _LIMITED
         if self._fps is None:
             codec.time_base = stream.time_base = _TICK
-            codec.max_b_frames = 0  # pictures in the order of their times, the first at its own
+            codec.max_b_frames = 0  # images in the order of their times, the first at its own
         return stream
 
     def __exit__(

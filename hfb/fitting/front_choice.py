@@ -1,0 +1,99 @@
+"""Which front a fit keeps: the start as found or its mirror image in depth, whichever explains the frames better.
+
+Both are fitted alike. The evidence for "as found" against "mirrored" is
+
+    log odds = w_loss (loss_mirrored - loss_found) + w_doubt doubt + prior,
+
+whose weights depend on the kind of start. They were fitted to fits whose truth is known (`hfb train fronts`) and lie in
+data/fronts.json, with the counts.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+
+from hfb.fitting.alternatives import FrontMotion
+from hfb.fitting.confidence import StartKind, start_kind
+from hfb.motion.sampled import SampledMotion
+
+LARGEST_DIFFERENCE = 1.0
+"""Of two losses: beyond it one of the fits has failed, and how badly says nothing more."""
+
+
+@dataclass(frozen=True)
+class FrontChoice:
+    """The front that was kept, and the other one.
+
+    Attributes:
+        log_odds: of the front of the first bodies as found; negative where the mirrored one was kept.
+        loss_difference: loss of the fit from the mirrored bodies less that from the bodies as found.
+        doubt: mean of `hfb.initialization.fronts.front_doubts`.
+        other: the motion that was fitted with the other front.
+    """
+
+    log_odds: float
+    loss_difference: float
+    doubt: float
+    other: SampledMotion
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the kept fit began from the mirrored bodies."""
+        return self.log_odds < 0
+
+    @property
+    def probability(self) -> float:
+        """Probability that the kept front is right."""
+        return front_probability(self.log_odds)
+
+    def as_alternative(self) -> FrontMotion:
+        """Return the motion that was not kept, as `Alternatives` holds it."""
+        other = self.other
+        return FrontMotion(other.poses, other.trans, other.joints, 1 - self.probability)
+
+
+def front_probability(log_odds: float) -> float:
+    """Return the probability of the likelier front.
+
+    Args:
+        log_odds: of one of both.
+    """
+    return 1 / (1 + math.exp(-abs(log_odds)))
+
+
+def front_log_odds(loss_difference: float, doubt: float, sources: Sequence[str]) -> float:
+    """Return the log odds of the front as found; of frames with several kinds of start the mean of what each says.
+
+    Args:
+        loss_difference: loss of the fit from the mirrored bodies less that from the bodies as found.
+        doubt: mean of `hfb.initialization.fronts.front_doubts` over the frames.
+        sources: of the first bodies.
+    """
+    clipped = float(np.clip(loss_difference, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE))
+    weights = [shipped_front_weights(start_kind(source)) for source in sources]
+    return float(np.mean([one.loss * clipped + one.doubt * doubt + one.prior for one in weights]))
+
+
+@dataclass(frozen=True)
+class FrontWeights:
+    """Weights of the evidence about a front, see the head of this file."""
+
+    loss: float
+    doubt: float
+    prior: float
+
+
+@lru_cache
+def shipped_front_weights(kind: StartKind) -> FrontWeights:
+    """Return the weights that come with hfb.
+
+    Args:
+        kind: of start.
+    """
+    content = json.loads((resources.files("hfb.fitting") / "data" / "fronts.json").read_text())
+    return FrontWeights(**content["weights"][kind])
