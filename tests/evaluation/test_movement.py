@@ -13,9 +13,9 @@ from hfb.body.skeleton import JOINT_NAMES, MIRROR
 from hfb.evaluation.baselines.rows import motion_of_rows
 from hfb.evaluation.movement import MovementErrors, at_instants, movement_errors
 from hfb.geometry.camera import PinholeCamera
+from hfb.initialization.fronts import mirrored_in_depth
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.observation import Observation
-from hfb.tracking.clip_bodies import mirrored_in_depth
 
 CAMERA = PinholeCamera.from_focal(500.0, 400, 300)
 LIMBS = [

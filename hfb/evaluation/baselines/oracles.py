@@ -24,6 +24,7 @@ from hfb.evaluation.baselines.static import Static
 from hfb.evaluation.baselines.true_bodies import bodies_on_joints, true_bodies
 from hfb.evaluation.prediction import Prediction
 from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.initialization.fronts import mirrored_in_depth
 from hfb.initialization.initializer import Initializer
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb
 from hfb.kernels.determinism import one_torch_thread
@@ -32,7 +33,6 @@ from hfb.motion.static_pose import FirstBody
 from hfb.photometry import srgb_to_linear
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
-from hfb.tracking.clip_bodies import mirrored_in_depth
 from hfb.typing import Array, Float, Tensor
 
 _LEAST_BLUR = 0.05  # the lower end of the paper's first interval of blur rates
