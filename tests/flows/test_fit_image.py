@@ -23,7 +23,7 @@ from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.initialization.fronts import mirrored_in_depth
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, write_png
 from hfb.motion.motion_file import load_motion
-from hfb.motion.static_pose import load_first_body
+from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.photometry import srgb_to_linear
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.observation import Observation
@@ -257,3 +257,23 @@ def test_two_frames_agree_on_the_front(
     roots = axis_angle_to_matrix(torch.from_numpy(motion.poses[:, :3]))
     cosine = ((roots[0].T @ roots[-1]).trace() - 1) / 2
     assert torch.rad2deg(torch.arccos(cosine)) < 20
+
+
+def test_a_doubtful_front_is_told(problem: Problem, store: Path, tmp_path: Path) -> None:
+    """Both fronts are fitted, result.json says which one was kept, and the other one stands in alternatives.npz."""
+    both = TINY.fit.model_copy(update={"both_fronts": True, "directions": DirectionsConfig(search=True, refits=0)})
+    save_first_body(tmp_path / "turned.npz", mirrored_in_depth(load_first_body(problem.first_body)))
+    config = TINY.model_copy(update={"fit": both})
+    out = tmp_path / "out"
+    result = fit_image([problem.frame], problem.background, out, config, first_bodies=[tmp_path / "turned.npz"])
+    assert 0.5 <= result["front"]["probability"] <= 1
+    alternatives, _ = load_alternatives(out / "alternatives.npz")
+    assert alternatives.other_front is not None
+    assert alternatives.other_front.probability == pytest.approx(1 - result["front"]["probability"], abs=1e-4)
+    kept, other = alternatives.joints[alternatives.chosen], alternatives.other_front.joints
+    assert np.linalg.norm(kept - other, axis=-1).mean() > 0.05
+    told = [one["code"] for one in result["warnings"]]
+    assert ("front" in told) == (result["front"]["probability"] < 0.8)
+    assert result["fit_stage_seconds"]["other_front"] > 0
+    alone = run(problem, tmp_path / "alone", TINY)
+    assert alone["front"] is None

@@ -11,11 +11,19 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.errors import InputError
-from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.flows.clip_steps import weigh_segments
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.io.media.images.image_io import read_picture_srgb, write_matte, write_png
 from hfb.motion.motion_file import load_motion
+from hfb.motion.static_pose import load_first_body, save_first_body
+from hfb.photometry import linear_to_srgb
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.video_handles import WindowHandle
+from hfb.tasks.video.video_windows import MirrorCall, mirror_body
 from tests.cli.conftest import _own_logging  # noqa: F401  (a command runs in this process)
 from tests.faults.stores import artifacts_of, assert_recorded_later, lost
 from tests.orchestration import mlflow_rows
+from tests.scenes import moving_scene
 from tests.small_clips import (
     FRAMES,
     LONGER,
@@ -44,6 +52,7 @@ def test_results_and_record() -> None:
     assert 0.4 < result["matte_iou"] < 1
     assert 10 < result["mpjpe_mm"] < 400
     assert 0 < result["workers_busy"] < 1
+    assert all(one["segment"] == 0 and 0.5 <= one["probability"] <= 1 for one in result["fronts"])
     assert read_picture_srgb(Path(result["strip"])).shape[0] > 200
 
     assert_every_frame_once(store)
@@ -198,3 +207,46 @@ def test_windows_go_together_on_a_device(store: Path, tmp_path: Path) -> None:
     assert 0 < off < 0.03
     again = run_clip(small_clip().truth.parent, out, *options, truth=small_clip().truth)
     assert again["resumed_frames"] == FRAMES
+
+
+def test_windows_vote_on_the_front_of_their_segment() -> None:
+    def fit(segment: int, odds: float) -> WindowHandle:
+        nowhere = FileHandle(path=Path("window.npz"), sha256="0" * 64)
+        return WindowHandle(
+            **nowhere.model_dump(), frames=(0, 1), segment=segment, loss=1.0, mirrored=odds < 0, front_log_odds=odds
+        )
+
+    assert weigh_segments([fit(0, -0.5), fit(0, 2.0), fit(2, -1.0), fit(3, 0.0)]) == {0: 1.5, 2: -1.0, 3: 0.0}
+
+
+def test_a_body_is_mirrored_onto_its_frame(tmp_path: Path) -> None:
+    """The task that turns every body of a segment whose other front is likelier."""
+    scene = moving_scene(load_default_body(), size_px=64)
+    for name, values in (("frame", scene.observation.frames_linear[0]), ("plate", scene.observation.plate_linear)):
+        write_png(tmp_path / f"{name}.png", linear_to_srgb(values.numpy().clip(0, 1)))
+    write_matte(tmp_path / "matte.png", scene.observation.mattes[0].numpy())
+    save_first_body(tmp_path / "first.npz", scene.middle[0])
+    files = {name: FileHandle.of(tmp_path / name) for name in ("frame.png", "plate.png", "matte.png")}
+    rows = scene.observation.camera.matrix().tolist()
+    still = ClipHandle(
+        frames=(files["frame.png"],),
+        background=files["plate.png"],
+        height=64,
+        width=64,
+        K=tuple(tuple(row) for row in rows),
+        exposure_s=0.03,
+        interval_s=0.03,
+        transfer="srgb",
+        light="linear",
+    )
+    call = MirrorCall(
+        number=0,
+        still=still,
+        matte=files["matte.png"],
+        body=None,
+        folder=tmp_path,
+        first=FirstBodyHandle.of(tmp_path / "first.npz", source="matte"),
+    )
+    turned = load_first_body(mirror_body.fn(call).path)
+    across = axis_angle_to_matrix(scene.middle[0].pose[0])[:, 2] @ axis_angle_to_matrix(turned.pose[0])[:, 2]
+    assert across < -0.5
