@@ -4,6 +4,7 @@ And what tests of tasks, flows and commands share: a store of their own on the s
 `tests/README.md` tells where what is.
 """
 
+import gc
 import importlib.util
 import os
 import pkgutil
@@ -58,6 +59,16 @@ def pytest_configure(config: pytest.Config) -> None:
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(RUN_FOLDER), ignore_errors=True))
     for kind, needs in kinds.KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {needs}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    gc.disable()  # imports make a million objects and no garbage
+    try:
+        return (yield)
+    finally:
+        gc.freeze()  # they stay: no later search for garbage looks at them
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m looks at the markers

@@ -31,7 +31,7 @@ _FOLDERS = {
 }
 _FIXTURES = {"here": "team", "store": "integration"}
 _PROCESSES = {"os.exec", "os.fork", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"}
-_FONTS = "fc-list"  # which Matplotlib asks once per machine
+_OF_LIBRARIES = {"fc-list", "uname"}  # Matplotlib asks the one once per machine, `platform` the other once per process
 _FIRST = "test_compilation.py"  # compiles all kernels, where nobody has yet, for the tests after it
 _LAST = "test_logins.py"  # after its guesses the services look at no new login for a while
 _started: list[str] = []
@@ -90,7 +90,7 @@ def scheduling(config: pytest.Config, log: Any) -> Any:
 
 
 def _note(event: str, given: tuple[Any, ...]) -> None:
-    if event in _PROCESSES and given[:1] != (_FONTS,):
+    if event in _PROCESSES and not _OF_LIBRARIES.intersection(given[:1]):
         _started.append(f"{event} {given[:2]}")
 
 

@@ -285,7 +285,7 @@ def _begin(records: Any, environment: dict[str, str]) -> None:
     logging.captureWarnings(True)
     handler = logging.handlers.QueueHandler(records)
     handler.addFilter(WithIds())
-    logging.getLogger().addHandler(handler)
+    logging.getLogger().handlers = [handler]  # without Prefect's, which the fork server may have imported
     threading.Thread(target=_end_with_parent, daemon=True).start()
     import torch
 

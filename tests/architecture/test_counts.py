@@ -13,12 +13,8 @@ ROOMS = ("hfb", "tasks", "flows")
 
 LOOSE_MODULES = 4
 FILES_OF_A_ROOM = 20
-FORMATTED_BY_HAND = 0
-"""Statements that the formatter skips and that are no tables of numbers; the goal is 0."""
 TUPLES_OF_ANY = 0
-UNDESCRIBED = 216
-"""Public functions without an entry in ``Args`` for each parameter; the goal is 0."""
-LINES = {"product": 40_014, "training": 4_385}
+LINES = {"product": 40_016, "training": 4_383}
 """Of code, without docstrings, comments and blank lines; the product is all but `hfb.training`.
 
 The product's goal is 30,183, nine tenths of what adb3d25 had.
@@ -59,7 +55,7 @@ def test_a_module_is_found_by_its_name() -> None:
 
 
 def test_the_formatter_formats() -> None:
-    assert sum(len(list(_by_hand(path))) for path in sources(*ROOMS)) <= FORMATTED_BY_HAND
+    assert [(path, line) for path in sources(*ROOMS) for line in _by_hand(path)] == []
 
 
 def _by_hand(path: Path) -> Iterator[int]:
@@ -93,16 +89,29 @@ def test_calls_are_typed() -> None:
 
 
 def test_public_functions_describe_their_parameters() -> None:
-    assert sum(len(list(_undescribed(path))) for path in sources(*ROOMS)) <= UNDESCRIBED
+    functions = [node for path in sources(*ROOMS) for node in _public_functions(_tree(path))]
+    assert [node.name for node in functions if not _is_described(node, bound=False)] == []
 
 
-def _undescribed(path: Path) -> Iterator[str]:
-    """Public functions of a module with a parameter that their docstring does not describe."""
-    for node in _tree(path).body:
+def test_public_methods_describe_their_parameters() -> None:
+    nodes = [node for path in sources(*ROOMS) for node in _tree(path).body]
+    classes = [node for node in nodes if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+    methods = [(one.name, node) for one in classes for node in _public_functions(one)]
+    assert [f"{name}.{node.name}" for name, node in methods if not _is_described(node, bound=True)] == []
+
+
+def _public_functions(parent: ast.Module | ast.ClassDef) -> Iterator[ast.FunctionDef]:
+    for node in parent.body:
         if isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and not _is_overload(node):
-            names = {one.arg for one in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)}
-            if names - _told(ast.get_docstring(node) or ""):
-                yield node.name
+            yield node
+
+
+def _is_described(function: ast.FunctionDef, bound: bool) -> bool:
+    """Whether the docstring has an entry for each parameter; `bound`: but for self or the class."""
+    parameters = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+    static = any(isinstance(one, ast.Name) and one.id == "staticmethod" for one in function.decorator_list)
+    names = {one.arg for one in parameters[1 if bound and not static else 0 :]}
+    return names <= _told(ast.get_docstring(function) or "")
 
 
 def _is_overload(function: ast.FunctionDef) -> bool:
@@ -121,7 +130,7 @@ def _told(docstring: str) -> set[str]:
 
 def test_the_code_does_not_grow() -> None:
     training = ROOT / "hfb" / "training"
-    lines = {"product": 40_014, "training": 4_385}
+    lines = {"product": 0, "training": 0}
     for path in sources(*ROOMS):
         lines["training" if path.is_relative_to(training) else "product"] += _code_lines(path)
     assert {part: count for part, count in lines.items() if count > LINES[part]} == {}

@@ -128,8 +128,8 @@ def fits(
 
 SHORT = BEST.model_copy(
     update={
-        "settle": 4,
-        "stages": (Stage(size_px=32, iterations=5), Stage(size_px=40, iterations=6, cosine=True)),
+        "settle": 2,
+        "stages": (Stage(size_px=32, iterations=3), Stage(size_px=40, iterations=3, cosine=True)),
         "directions": BEST.directions.model_copy(update={"search": False}),
     }
 )

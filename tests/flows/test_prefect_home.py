@@ -89,12 +89,13 @@ def test_no_home_folder_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def command(problem: Problem, folder: Path, **settings: str) -> subprocess.CompletedProcess[str]:
-    """`hfb fit` of a user none of whose folders can be made."""
+    """`hfb fit` of a user none of whose folders can be made; without kernels of before it would compile for minutes."""
     (folder / "file").touch()
     environment = {
         "PATH": os.environ["PATH"],
         "HOME": str(folder / "file" / "home"),
         "OMP_NUM_THREADS": "1",
+        "NUMBA_CACHE_DIR": os.environ["NUMBA_CACHE_DIR"],
         **settings,
     }
     words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(folder / "out")]

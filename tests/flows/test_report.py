@@ -22,11 +22,11 @@ from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.results.result_report import shows_another_motion
 from hfb.tasks.tracking.store_place import SMALL_SERVER, pages_command
 from tests.browser import CHROMIUM, assert_body_moves, assert_film_plays, browser, opened
+from tests.faults.servers import free_port
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import FRAMES, begun, run_clip, small_clip
 
 FIT = FitConfig(subframes=3, texture_px=16, stages=(Stage(size_px=32, iterations=2),))
-PORT = 5687
 NASTY = "<script>alert(1)</script> \"quoted\" & 'so on'"
 
 
@@ -138,8 +138,9 @@ def test_what_is_no_result_is_said(store: Path, tmp_path: Path) -> None:
 def test_the_page_lives_in_mlflows_artifact_view(store: Path, tmp_path: Path) -> None:
     result = reported_clip(tmp_path / "out")
     (experiment,) = mlflow_rows(store, "select experiment_id from experiments where name = 'hfb'")[0]
-    place = f"http://127.0.0.1:{PORT}/#/experiments/{experiment}/runs/{result['mlflow_run_id']}/artifacts/report.html"
-    with mlflow_pages(), browser() as chromium:
+    port = free_port()
+    place = f"http://127.0.0.1:{port}/#/experiments/{experiment}/runs/{result['mlflow_run_id']}/artifacts/report.html"
+    with mlflow_pages(port), browser() as chromium:
         for width in (600, 1400):
             shown = opened(chromium, f"{place}?workflowType=machine_learning", width)
             frame = shown.tab.frame_locator("iframe")
@@ -153,11 +154,11 @@ def test_the_page_lives_in_mlflows_artifact_view(store: Path, tmp_path: Path) ->
 
 
 @contextmanager
-def mlflow_pages() -> Iterator[None]:
+def mlflow_pages(port: int) -> Iterator[None]:
     """MLflow's pages over the test's store, as `hfb runs` starts them."""
     quiet = {"DO_NOT_TRACK": "true", "MLFLOW_DISABLE_TELEMETRY": "true"}
     server = subprocess.Popen(
-        pages_command(PORT),
+        pages_command(port),
         env={**os.environ, **SMALL_SERVER, **quiet},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -167,7 +168,7 @@ def mlflow_pages() -> Iterator[None]:
         deadline = time.monotonic() + 180
         while True:
             try:
-                with urlopen(f"http://127.0.0.1:{PORT}/health", timeout=5):
+                with urlopen(f"http://127.0.0.1:{port}/health", timeout=5):
                     break
             except (URLError, OSError):
                 assert server.poll() is None, "MLflow's pages ended"

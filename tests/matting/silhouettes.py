@@ -77,10 +77,9 @@ def _figure(height: int, width: int, blur: float, t: float, rng: np.random.Gener
         return np.array([np.sin(turn), np.cos(turn)]) * length * size
 
     def limb(start: np.ndarray, end: np.ndarray, radius: float, colour: np.ndarray) -> None:
-        drawn = np.zeros(mask.shape, np.uint8)
         ends = [tuple(round(float(v) * up) for v in point) for point in (start, end)]
-        cv2.line(drawn, *ends, 255, max(1, int(radius * size * 2 * up)))
-        canvas[drawn > 0], mask[drawn > 0] = colour, 1
+        for picture, value in ((canvas, tuple(colour)), (mask, 1.0)):
+            cv2.line(picture, *ends, value, max(1, int(radius * size * 2 * up)))
 
     neck = hips - step(now["trunk"], 0.3)
     for side, name in ((1, "leg"), (-1, "leg2")):

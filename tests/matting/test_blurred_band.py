@@ -13,7 +13,7 @@ from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import Composite, composite
 from tests.matting.textures import TEXTURES, slide
 
-PAIRS = 3 * len(TEXTURES)
+PAIRS = 2 * len(TEXTURES)
 matting = make_matting(MattingConfig())
 
 

@@ -90,7 +90,8 @@ def _warns() -> None:
 def test_workers_log_through_this_process(
     caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Prefect's own console handler is there where another test of this process has run a flow
+    import hfb.tasks.task  # noqa: F401  (workers import it too, and with it Prefect, which adds a console handler)
+
     monkeypatch.setattr(logging.getLogger(), "handlers", [caplog.handler])
     with workers(1, apart=True):
         run_local(_warns)

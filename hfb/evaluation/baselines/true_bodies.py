@@ -37,7 +37,11 @@ class TrueBodies:
     betas: Float[Tensor, "10"] | None
 
     def nearest(self, times_s: Float[Array, "T"]) -> Int[Array, "T"]:
-        """Return the index of the instant nearest to each time."""
+        """Return the index of the instant nearest to each time.
+
+        Args:
+            times_s: since the first shutter opened [s].
+        """
         return np.abs(self.times_s[None] - times_s[:, None]).argmin(1)
 
 
