@@ -218,7 +218,7 @@ def _made(
     spec: Spec, count: int, folder: Path, *, cases_folder: Path, out: Path
 ) -> tuple[SourcesHandle, list[CaseHandle], dict[str, str]]:
     """Return the cases that could be made, and why others could not."""
-    folders = [getattr(spec, name, None) for name in ("motions", "backgrounds", "textures", "videos")]
+    folders = spec.videos if isinstance(spec, RealSpec) else (spec.motions, spec.backgrounds, spec.textures)
     check_sources_out(folders, out)
     for given in folders:
         if given is not None and not given.is_dir():
@@ -258,7 +258,8 @@ def _notes(plan: BenchmarkPlan) -> tuple[str, ...]:
             "measured truth is compared at hips, knees, ankles, shoulders, elbows and wrists; its hips and shoulders "
             "lie 20 to 50 mm from SMPL's (case.json: truth, truth_joints, truth_offset_mm)"
         )
-        return (*notes, f"every picture is the mean of {plan.spec.average} frames in linear light", compared)
+        averages = ", ".join(map(str, plan.spec.average))
+        return (*notes, f"every picture is the mean of K = {averages} frames in linear light", compared)
     motions = plan.spec.motions.name if plan.spec.motions else "procedural"
     notes += [f"motions: {motions}", f"fill: {plan.spec.fill}"]
     if plan.spec.easy:

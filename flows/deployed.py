@@ -168,15 +168,15 @@ def batch(
 def benchmark(
     out: Path,
     *,
-    set: Literal["bt-amass", "bc-cape", "b-aist"] = "bt-amass",
+    set: Literal["bt-amass", "bc-cape", "b-aist", "real"] = "bt-amass",
     count: Count = 20,
     frames: Count = 1,
-    methods: Annotated[list[str], Field(min_length=1)] = ["best", "paper", "static"],  # noqa: B006 (as a form shows it)
+    methods: Annotated[list[str], Field(min_length=1)] | None = None,
     start: Literal["simulated", "estimated"] | None = None,
     seed: Natural = 0,
     motions: Path | None = None,
-    videos: Path | None = None,
-    average: Annotated[int, Field(ge=2)] = 9,
+    videos: Path | list[Path] | None = None,
+    average: Count | list[Count] | None = None,
     body: Path | None = None,
     fill: Literal["paper", "even", "natural"] = "paper",
     chains: Path | None = None,
@@ -190,12 +190,12 @@ def benchmark(
         set: which set.
         count: number of cases.
         frames: blurred frames per case.
-        methods: names as in `hfb benchmark --help`.
+        methods: names as in `hfb benchmark --help`; empty for the set's default.
         start: origin of the static bodies; empty for the set's default.
         seed: of the random numbers.
         motions: a folder with AMASS, BVH, DeepMimic, CAPE or hfb's own motion files; left empty, the built-in ones.
-        videos: of b-aist, a folder with videos of a static camera.
-        average: of b-aist, frames per exposure.
+        videos: of real and b-aist, folders with videos of a static camera.
+        average: of real and b-aist, frames per exposure; empty for the set's default.
         body: a SMPL file, for the truth and the fit; left empty, the embedded body.
         fill: distribution of the cases over intervals of blur.
         chains: a file with deblur-then-estimate chains.
@@ -208,19 +208,20 @@ def benchmark(
     Raises:
         InputError: something given cannot be used, or not one case is left.
     """
-    configs = [one.partition("=")[2] for one in methods if "=" in one]
-    files = {"motions": motions, "videos": videos, "body": body, "methods": configs}
+    configs = [one.partition("=")[2] for one in methods or () if "=" in one]
+    folders = [videos] if isinstance(videos, Path) else videos
+    files = {"motions": motions, "videos": folders, "body": body, "methods": configs}
     with _on_a_worker(out, None, workers, store, **files):
         if places.is_limited():
             places.check_programs("chains", chains)
         given = argparse.Namespace(
             set=set,
             count=count,
-            methods=",".join(methods),
+            methods=None if methods is None else ",".join(methods),
             start=start,
             seed=seed,
             motions=motions,
-            videos=videos,
+            videos=folders,
             average=average,
             body=body,
             fill=fill,

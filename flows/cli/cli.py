@@ -150,7 +150,7 @@ def command_line() -> argparse.ArgumentParser:
     )
     reproduce.add_argument("experiment", metavar="table1|...|table5", help="a table of the paper")
     judging.add_set_flags(reproduce, count=None)
-    judging.add_method_flags(reproduce, methods=None)
+    judging.add_method_flags(reproduce, of_set=False)
 
     what = "train a network or another part that hfb ships"
     programs = commands.add_parser("train", help=what, description=what, allow_abbrev=False)
@@ -305,7 +305,7 @@ def _reproduce(given: argparse.Namespace) -> None:
 def _run_benchmark(
     given: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
 ) -> dict[str, Any]:
-    judging.method_specs(given.methods, given.chains)  # what is wrong is said before anything is loaded
+    judging.methods_of(given)  # what is wrong is said before anything is loaded
     judging.set_spec(given, frames)
     engine = engine_of(given.workers, given.store)
 

@@ -18,8 +18,11 @@ from hfb.io.toml_file import to_record
 if TYPE_CHECKING:
     from hfb.flows.benchmark import BenchmarkPlan
 
-SETS = ("bt-amass", "bc-cape", "b-aist")
+SETS = ("bt-amass", "bc-cape", "b-aist", "real")
+_REAL = ("b-aist", "real")
 _DEFAULT_METHODS = "best,paper,static"
+_REAL_METHODS = "static,best,oracle-middle,best@true-front,best@true-start,oracle-floor"
+_REAL_AVERAGES = (1, 3, 5, 9, 15)
 _DEFAULT_COUNT = 20
 
 
@@ -37,11 +40,23 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
     add("--motions", type=Path, metavar="DIR", help="AMASS, BVH, DeepMimic, CAPE or hfb's own motion files [built in]")
     add("--backgrounds", type=Path, metavar="DIR", help="pictures to stand in front of [generated rooms]")
     add("--textures", type=Path, metavar="DIR", help="textures for the body's UV map [generated clothes]")
-    add("--videos", type=Path, metavar="DIR", help="b-aist: videos of a static camera")
-    add("--average", type=positive, default=9, metavar="K", help="b-aist: frames per exposure [9]")
+    add(
+        "--videos",
+        type=Path,
+        action="append",
+        metavar="DIR",
+        help="real, b-aist: videos of a static camera, with measured joints where there are any; may be repeated",
+    )
+    add(
+        "--average",
+        type=_averages,
+        metavar="K,...",
+        help="real, b-aist: frames per exposure, 1 for sharp ones; the cases take turns [b-aist: 9; real: "
+        f"{','.join(map(str, _REAL_AVERAGES))}]",
+    )
     add("--body", type=Path, metavar="FILE", help="your SMPL file, for the truth and the fit [the embedded body]")
     add("--fill", choices=("paper", "even", "natural"), default="paper", help="cases per blur-rate interval [paper]")
-    add("--size", type=positive, metavar="PX", help="side of the pictures; b-aist: the longer one [256; b-aist: 384]")
+    add("--size", type=positive, metavar="PX", help="side of the pictures; real: the longer one [256; real: 384]")
     add("--easy", action="store_true", help="the fit's own mesh, no noise: for finding errors, never to be quoted")
     add_worker_flags(parser)
 
@@ -65,22 +80,22 @@ def add_worker_flags(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_method_flags(parser: argparse.ArgumentParser, methods: str | None = _DEFAULT_METHODS) -> None:
+def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> None:
     """Declare the methods and their starts.
 
     Args:
         parser: of the command.
-        methods: default list; None for the experiment's.
+        of_set: the default methods are those of the set; False: those of the experiment.
     """
     known = "; ".join(f"{name}: {what}" for name, what in METHOD_NAMES.items()).replace("%", "%%")
-    shown = "as in the experiment's file" if methods is None else methods
-    parser.add_argument("--methods", default=methods, metavar="A,B,...", help=f"{known} [{shown}]")
+    shown = f"{_DEFAULT_METHODS}; real: {_REAL_METHODS}" if of_set else "as in the experiment's file"
+    parser.add_argument("--methods", metavar="A,B,...", help=f"{known} [{shown}]")
     parser.add_argument("--chains", type=Path, metavar="FILE.toml", help="deblur-then-estimate chains, by name")
     parser.add_argument(
         "--start",
         choices=("simulated", "estimated"),
         help="what all methods start from: simulated after the paper's METRO, or hfb's estimators "
-        "[simulated; b-aist: estimated]",
+        "[simulated; real: estimated]",
     )
 
 
@@ -92,13 +107,14 @@ def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
         frames: blurred frames per case.
 
     Raises:
-        InputError: b-aist without videos, or a number that no set takes.
+        InputError: a set of real video without videos, or a number that no set takes.
     """
     size = {} if given.size is None else {"size_px": given.size}
-    if given.set == "b-aist":
-        if given.videos is None:
-            raise InputError("b-aist is made from real video: give a folder with --videos DIR")
-        content = {"videos": given.videos, "average": given.average} | size
+    if given.set in _REAL:
+        if not given.videos:
+            raise InputError(f"{given.set} is made from real video: give a folder with --videos DIR")
+        average = given.average or (_REAL_AVERAGES if given.set == "real" else (9,))
+        content = {"set": given.set, "videos": given.videos, "average": average} | size
         return to_record(RealSpec, content | {"frames": frames, "seed": given.seed}, "options")
     names = ("set", "seed", "fill", "easy", "motions", "backgrounds", "textures", "body")
     content = {name: getattr(given, name) for name in names}
@@ -121,6 +137,19 @@ def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
     return tuple(method_spec(name, chains) for name in names)
 
 
+def methods_of(given: argparse.Namespace) -> tuple[MethodSpec, ...]:
+    """Return the methods that the options name, or those of the set.
+
+    Args:
+        given: the parsed options.
+
+    Raises:
+        InputError: an unknown name; the sentence lists the known ones.
+    """
+    suitable = _REAL_METHODS if given.set == "real" else _DEFAULT_METHODS
+    return method_specs(suitable if given.methods is None else given.methods, given.chains)
+
+
 def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
     """Return everything that decides a benchmark's figures.
 
@@ -130,11 +159,11 @@ def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
     """
     from hfb.flows.benchmark import BenchmarkPlan
 
-    start = given.start or ("estimated" if given.set == "b-aist" else "simulated")
+    start = given.start or ("estimated" if given.set in _REAL else "simulated")
     return BenchmarkPlan(
         spec=set_spec(given, frames),
         count=given.count,
-        methods=method_specs(given.methods, given.chains),
+        methods=methods_of(given),
         start=start,
         init=InitConfig(),
         body=given.body,
@@ -172,6 +201,11 @@ def positive(text: str) -> int:
         text: as typed.
     """
     return _at_least(text, 1)
+
+
+def _averages(text: str) -> tuple[int, ...]:
+    """Parse whole numbers, 1 or more, separated by commas."""
+    return tuple(positive(one) for one in text.split(",") if one.strip()) or (positive(text),)
 
 
 def _natural(text: str) -> int:

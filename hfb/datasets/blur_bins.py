@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 Interval = tuple[float, float]
+SetName = Literal["bt-amass", "bc-cape", "b-aist", "real"]
 
 BLUR_BINS: tuple[Interval, ...] = (
     (0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5),
@@ -23,15 +24,20 @@ CAPE_SINGLE_BINS: tuple[Interval, ...] = ((0.05, 0.2), (0.2, 0.3), (0.3, 0.4), (
 CAPE_MULTI_BINS: tuple[Interval, ...] = ((0.05, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.5), (0.5, 0.7), (0.7, 0.9))
 """BC-CAPE with several frames, table 4."""
 
+REAL_BINS: tuple[Interval, ...] = ((0.0, 0.05), (0.05, 0.15), (0.15, 0.3), (0.3, 0.5), (0.5, 0.8), (0.8, 1.3))
+"""Real video, sharp frames among it: a few recordings fill no ten intervals."""
 
-def bins_of(name: Literal["bt-amass", "bc-cape"], frames: int) -> tuple[Interval, ...]:
+
+def bins_of(name: SetName, frames: int) -> tuple[Interval, ...]:
     """Return the intervals by which a set is sorted.
 
     Args:
         name: name of the set.
         frames: blurred frames per case.
     """
-    if name == "bt-amass":
+    if name == "real":
+        return REAL_BINS
+    if name != "bc-cape":
         return BLUR_BINS
     return CAPE_SINGLE_BINS if frames == 1 else CAPE_MULTI_BINS
 

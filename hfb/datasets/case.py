@@ -3,6 +3,7 @@
     case_0001/frame_0.png background.png clip.toml        what the methods see
               start_0.npz                                 the static estimate that every method starts from
               matte_0.png sharp_0.png truth.npz           the truth, for evaluation and for oracles that say so
+              middle_0.png                                real video: the sharp frame in the middle, for an oracle
               case.json                                   how it was made
 
 More frames: frame_1.png, ... of the same camera.
@@ -58,6 +59,10 @@ class Case:
     def true_matte_paths(self) -> list[Path]:
         """Return the files of the exact mattes."""
         return [self.folder / f"matte_{index}.png" for index in range(self.frames)]
+
+    def middle_paths(self) -> list[Path]:
+        """Return per frame the sharp frame in the middle of its exposure; synthetic cases have none."""
+        return [self.folder / f"middle_{index}.png" for index in range(self.frames)]
 
     def sharp_paths(self) -> list[Path]:
         """Return per frame the file of its true sub-frames, side by side (straight alpha)."""

@@ -29,6 +29,13 @@ _MEANS = {
     "sharp_psnr_db": "sharp_psnr_db",
     "sharp_ssim": "sharp_ssim",
     "matte_iou": "matte_iou",
+    "in_plane_px": "in_plane_px",
+    "ray_depth_mm": "ray_depth_mm",
+    "lean_deg": "lean_deg",
+    "front_wrong": "front_wrong",
+    "spin_deg": "spin_deg",
+    "motion_mm": "motion_mm",
+    "still_motion_mm": "still_motion_mm",
     "psnr_db": "psnr_db",
     "seconds_per_case": "seconds",
 }
@@ -43,9 +50,15 @@ _COLUMNS = (
     "initial_iou",
     "iou",
     *_MEANS.values(),
+    "better_motion_mm",
+    "path_mm",
+    "true_path_mm",
     *RELIABILITY_COLUMNS,
 )
 
+
+RECORDED = ("recording", "source", "average")
+"""Columns with the source of a case of real video: its folder, its video, K."""
 
 _STARTS = {
     "blur_rate": "blur_rate",
@@ -70,7 +83,7 @@ def by_method(rows: Any, order: Collection[str] = ()) -> dict[str, DataFrame]:
     Raises:
         InputError: a case stands there twice for one method, or a row names no case or method.
     """
-    table = DataFrame(rows).reindex(columns=["case", "method", "failed", "joint_errors_mm", *_COLUMNS])
+    table = DataFrame(rows).reindex(columns=["case", "method", "failed", "joint_errors_mm", *RECORDED, *_COLUMNS])
     if table[["case", "method"]].isna().to_numpy().any():
         raise InputError("a row of the results names no case or no method; run the benchmark into an empty folder")
     table = table.astype({"case": int, "method": str})
@@ -109,7 +122,9 @@ def make_cell(cases: DataFrame) -> Cell:
 
     ``n`` counts the answered cases; ``n_pose``, ``n_pa`` and ``n_iou`` those behind MPJPE, PA-MPJPE and IoU with their
     intervals. ``ratio`` is mean fitted / mean initial MPJPE over the cases that know both, as are these two means then.
-    Shares of cases are strict: an equal error is neither better nor worse.
+    Shares of cases are strict: an equal error is neither better nor worse. ``motion_ratio`` is mean motion error over
+    that of a still body, ``better_motion_ratio`` in the better direction of time, ``path_share`` mean path length over
+    the true one.
 
     Args:
         cases: rows of one method.
@@ -120,6 +135,7 @@ def make_cell(cases: DataFrame) -> Cell:
     initial_iou, iou, _ = _pair(answered, "initial_iou", "iou")
     ratio, ratio_bounds = _ratio(fitted, initial) if known else (None, None)
     pa_ratio, pa_ratio_bounds = _ratio(fitted_pa, initial_pa) if known_pa else (None, None)
+    motion_ratio, motion_bounds = _ratio_of(answered, "motion_mm", "still_motion_mm")
     return {
         "n": len(answered),
         "n_pose": len(fitted),
@@ -133,6 +149,7 @@ def make_cell(cases: DataFrame) -> Cell:
         "ratio_ci95": ratio_bounds,
         "initial_pa_mpjpe_mm": _mean(initial_pa),
         "pa_mpjpe_mm": _mean(fitted_pa),
+        "pa_mpjpe_ci95": _interval(mean_ci95(fitted_pa)),
         "pa_ratio": pa_ratio,
         "pa_ratio_ci95": pa_ratio_bounds,
         "initial_iou": _mean(initial_iou),
@@ -140,6 +157,11 @@ def make_cell(cases: DataFrame) -> Cell:
         "iou_ci95": _interval(mean_ci95(iou)),
         "better_than_start": _mean((fitted < initial).astype(float)) if known else None,
         "worse_than_start": _mean((fitted > initial).astype(float)) if known else None,
+        "n_motion": int(answered[["motion_mm", "still_motion_mm"]].notna().all(axis=1).sum()),
+        "motion_ratio": motion_ratio,
+        "motion_ratio_ci95": motion_bounds,
+        "better_motion_ratio": _ratio_of(answered, "better_motion_mm", "still_motion_mm")[0],
+        "path_share": _ratio_of(answered, "path_mm", "true_path_mm")[0],
         **{entry: _mean(_known(answered[column])) for entry, column in _MEANS.items()},
         **reliability_cell(answered),
     }
@@ -167,10 +189,12 @@ def start_cell(starts: DataFrame) -> Cell:
     return {
         "n": len(starts),
         "n_pose": len(mpjpe),
+        "n_pa": len(pa_mpjpe),
         "n_iou": len(iou),
         "mpjpe_mm": _mean(mpjpe),
         "mpjpe_ci95": _interval(mean_ci95(mpjpe)),
         "pa_mpjpe_mm": _mean(pa_mpjpe),
+        "pa_mpjpe_ci95": _interval(mean_ci95(pa_mpjpe)),
         "iou": _mean(iou),
         "iou_ci95": _interval(mean_ci95(iou)),
     }
@@ -222,6 +246,12 @@ def _ratio(above: Float[Array, "C"], below: Float[Array, "C"]) -> tuple[float | 
     if not len(below) or below.mean() <= 0:
         return None, None
     return float(above.mean() / below.mean()), _interval(ratio_ci95(above, below))
+
+
+def _ratio_of(cases: DataFrame, above: str, below: str) -> tuple[float | None, list[float] | None]:
+    """Return the ratio of the means of two columns over the cases that know both, and its 95 % interval."""
+    first, second, both = _pair(cases, above, below)
+    return _ratio(first, second) if both else (None, None)
 
 
 def _known(values: Series) -> Float[Array, "K"]:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from hfb.config import Record
 from hfb.evaluation.experiment_files import experiment_file
-from hfb.evaluation.table_page import UNKNOWN, blur_label, grid, interval, number
+from hfb.evaluation.table_text import UNKNOWN, blur_label, grid, interval, number
 from hfb.io.toml_file import read_toml, to_record
 
 Metric = Literal["mpjpe_mm", "pa_mpjpe_mm", "iou"]

@@ -20,6 +20,7 @@ from hfb.evaluation.metrics import (
     subset_errors,
     wrong_direction,
 )
+from hfb.evaluation.movement import at_instants, movement_errors
 from hfb.evaluation.prediction import Prediction
 from hfb.evaluation.protocol import at_rest, picture_scores, pose_rows, silhouette_scores
 from hfb.evaluation.reliability import direction_row, joint_row
@@ -36,6 +37,8 @@ from hfb.typing import Array, Bool, Float, Int
 Scores = dict[str, Any]
 _PELVIS, _HIPS = 0, (1, 2)
 _SSIM_WINDOW_PX = 11
+_PLACES_IN_SPACE = ("in_plane_px", "motion_mm", "better_motion_mm")
+"""Errors that need places in front of the camera; joints about their root have none."""
 
 
 def judge(
@@ -63,6 +66,7 @@ def judge(
     if joints is not None:
         times_s = _clock(len(joints), observation)
         scores |= _motion_scores(joints, times_s, truth, frames)
+        scores |= _movement_scores(joints, times_s, truth, observation, prediction.motion is not None)
     scores |= _said(prediction, truth)
     if isinstance(truth, Truth):
         silhouettes = _silhouettes(prediction, body, truth)
@@ -122,6 +126,30 @@ def _motion_scores(
         return _known_joints(joints, true[:, numbers], numbers, frames)
     errors = motion_errors(joints, true, frames)
     return asdict(errors) | {"joint_errors_mm": joint_errors_mm(joints, true).tolist()}
+
+
+def _movement_scores(
+    joints: Float[Array, "R 24 3"],
+    times_s: Float[Array, "R"],
+    truth: Truth | JointTruth,
+    observation: Observation,
+    is_placed: bool,
+) -> Scores:
+    """Score position, front and motion: at the truth's instants for real video, else at the prediction's."""
+    rows = np.arange(len(joints)).reshape(observation.mattes.shape[0], -1)
+    known = np.flatnonzero(np.isfinite(joints).all((0, 2)))
+    if isinstance(truth, JointTruth):
+        both = np.isin(truth.smpl_joints, known)
+        numbers, true, index = truth.smpl_joints[both], truth.joints[:, both], truth.frame_index
+        claimed = np.empty(true.shape)
+        for frame, own in enumerate(rows):
+            seen = index == frame
+            claimed[seen] = at_instants(joints[own][:, numbers], times_s[own], truth.times_s[seen])
+    else:
+        numbers, index = known, np.repeat(np.arange(len(rows)), rows.shape[1])
+        true, claimed = truth.motion.joints[_nearest(times_s, truth.motion.times_s)][:, known], joints[:, known]
+    errors = asdict(movement_errors(claimed, true, numbers.tolist(), index, observation.camera))
+    return {name: value for name, value in errors.items() if is_placed or name not in _PLACES_IN_SPACE}
 
 
 def _said(prediction: Prediction, truth: Truth | JointTruth) -> Scores:

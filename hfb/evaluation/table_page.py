@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 from hfb.evaluation.cells import Cell, is_start
 from hfb.evaluation.intervals import FEWEST_CASES
+from hfb.evaluation.movement_page import movement_tables, recording_tables
 from hfb.evaluation.reliability import LEVELS, WITHIN
+from hfb.evaluation.table_text import TIED, UNKNOWN, blur_label, grid, interval, method_name, number, percent
 
 Metric = Literal["mpjpe", "pa_mpjpe", "iou"]
-UNKNOWN = "–"
-_TIED = "\u00a0"  # a space at which no browser breaks the line
 _PAPERS_METRICS: Mapping[str, tuple[Metric, ...]] = {"bt-amass": ("mpjpe", "iou")}
 _OTHER_METRICS: tuple[Metric, ...] = ("pa_mpjpe", "mpjpe")
 
@@ -58,6 +58,8 @@ def table_markdown(
         f"In brackets the 95 % interval over cases (Student's t on the logarithm) and their number n; none below "
         f"{FEWEST_CASES} cases.",
         _overall(summary, out_of_contest),
+        *recording_tables(summary, out_of_contest),
+        *movement_tables(summary, out_of_contest),
         *(f"## {_BLOCKS[metric].title} by blur rate\n\n{_block(summary, metric, out_of_contest)}" for metric in chosen),
     ]
     if any(cells["all"]["ratio"] is not None for cells in methods.values()):
@@ -75,29 +77,6 @@ def table_markdown(
     return "\n\n".join(parts) + "\n"
 
 
-def number(value: float | None, digits: int) -> str:
-    """Format a number; an unknown one is a dash.
-
-    Args:
-        value: or None where it is unknown.
-        digits: number of decimals.
-    """
-    return UNKNOWN if value is None else f"{value:.{digits}f}"
-
-
-def interval(bounds: Sequence[float] | None, digits: int, cases: int) -> str:
-    """Format `` [low, high; n 12]`` with a space before it, or nothing; a line breaks before the bracket only.
-
-    Args:
-        bounds: low and high, or None.
-        digits: number of decimals.
-        cases: n.
-    """
-    if bounds is None:
-        return ""
-    return f" [{bounds[0]:.{digits}f},{_TIED}{bounds[1]:.{digits}f};{_TIED}n{_TIED}{cases}]"
-
-
 def ratio_text(cell: Cell, digits: int) -> str:
     """Format a method's ratio to the start with its interval.
 
@@ -108,15 +87,6 @@ def ratio_text(cell: Cell, digits: int) -> str:
     return number(cell["ratio"], 3) + interval(cell["ratio_ci95"], digits, cell["n_pose"])
 
 
-def blur_label(blur: Sequence[float]) -> str:
-    """Format an interval of blur rates.
-
-    Args:
-        blur: low and high.
-    """
-    return f"< {blur[1]:g}" if blur[0] <= 0 else f"{blur[0]:g}–{blur[1]:g}"
-
-
 def is_oracle(method: str) -> bool:
     """Return whether a method's name says that it uses the truth: "oracle-..." and "...@true-...".
 
@@ -124,18 +94,6 @@ def is_oracle(method: str) -> bool:
         method: its name.
     """
     return method.startswith("oracle") or "@true-" in method
-
-
-def grid(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Return a markdown table; the first `left` columns are aligned left, the others right.
-
-    Args:
-        header: a text per column.
-        rows: a text per column each.
-        left: number of columns aligned left.
-    """
-    rule = [":---"] * left + ["---:"] * (len(header) - left)
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in [header, rule, *rows])
 
 
 def _counts(summary: Mapping[str, Any]) -> str:
@@ -154,7 +112,8 @@ def _overall(summary: Mapping[str, Any], oracles: Sequence[str]) -> str:
     first = [_start_name(summary), str(start["n"]), number(start["mpjpe_mm"], 1), "1", number(start["pa_mpjpe_mm"], 1)]
     first += [UNKNOWN, number(start["iou"], 3), UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN]
     rows = [
-        [_name(name, oracles), *_overall_row(cell, None if name in oracles else best)] for name, cell in cells.items()
+        [method_name(name, oracles), *_overall_row(cell, None if name in oracles else best)]
+        for name, cell in cells.items()
     ]
     return grid(header, [first, *rows])
 
@@ -162,15 +121,15 @@ def _overall(summary: Mapping[str, Any], oracles: Sequence[str]) -> str:
 def _overall_row(cell: Cell, best: str | None) -> list[str]:
     error, better_iou = number(cell["mpjpe_mm"], 1), cell.get("best_of_two_iou")
     return [
-        str(cell["n"]) + (f" ({cell['failed']}{_TIED}failed)" if cell["failed"] else ""),
+        str(cell["n"]) + (f" ({cell['failed']}{TIED}failed)" if cell["failed"] else ""),
         (f"**{error}**" if error == best else error) + interval(cell["mpjpe_ci95"], 1, cell["n_pose"]),
         ratio_text(cell, 3),
         number(cell["pa_mpjpe_mm"], 1),
-        _TIED.join([number(cell["in_plane_mm"], 0), "/", number(cell["depth_mm"], 0)]),
+        TIED.join([number(cell["in_plane_mm"], 0), "/", number(cell["depth_mm"], 0)]),
         number(cell["iou"], 3),
-        number(cell["best_of_two_mpjpe_mm"], 1) + ("" if better_iou is None else f",{_TIED}{better_iou:.3f}"),
-        _percent(cell["better_than_start"]),
-        _percent(cell["wrong_direction"]),
+        number(cell["best_of_two_mpjpe_mm"], 1) + ("" if better_iou is None else f",{TIED}{better_iou:.3f}"),
+        percent(cell["better_than_start"]),
+        percent(cell["wrong_direction"]),
         number(cell["seconds_per_case"], 1),
     ]
 
@@ -200,8 +159,8 @@ def _block(summary: Mapping[str, Any], metric: Metric, oracles: Sequence[str]) -
         shown = [f"**{text}**" if text == best[c] and name not in oracles else text for c, text in enumerate(row)]
         for column, cell in enumerate(cells.get(name, [])):
             if 0 < cell["n"] < starts[column]["n"]:
-                shown[column] += f" (n{_TIED}{cell['n']})"
-        rows.append([_name(name, oracles), *shown])
+                shown[column] += f" (n{TIED}{cell['n']})"
+        rows.append([method_name(name, oracles), *shown])
     return grid(["blur rate", *(blur_label(cell["blur"]) for cell in starts[:-1]), "all"], rows)
 
 
@@ -220,17 +179,17 @@ def _ratios(summary: Mapping[str, Any]) -> str:
 
 def _reliability(summary: Mapping[str, Any]) -> str:
     sure = {name: both["all"] for name, both in summary["methods"].items() if both["all"]["radius_error"] is not None}
-    header = ["method", *(f"said {100 * level:.0f}{_TIED}%" for level in LEVELS), "off", "mean radius [mm]"]
+    header = ["method", *(f"said {100 * level:.0f}{TIED}%" for level in LEVELS), "off", "mean radius [mm]"]
     header += ["direction said", "direction right", "off"]
     rows = [
         [
             name,
-            *(_percent(cell[column]) for column in WITHIN),
-            _percent(cell["radius_error"]),
+            *(percent(cell[column]) for column in WITHIN),
+            percent(cell["radius_error"]),
             number(cell["radius_mm"], 0),
-            _percent(cell["direction_said"]),
-            _percent(None if cell["wrong_direction"] is None else 1 - cell["wrong_direction"]),
-            _percent(cell["direction_error"]),
+            percent(cell["direction_said"]),
+            percent(None if cell["wrong_direction"] is None else 1 - cell["wrong_direction"]),
+            percent(cell["direction_error"]),
         ]
         for name, cell in sure.items()
     ]
@@ -244,7 +203,7 @@ def _same_cases(comparisons: Mapping[str, Any]) -> str:
             str(both["all"]["n"]),
             number(both["all"]["difference_mm"], 1) + interval(both["all"]["difference_ci95"], 1, both["all"]["n"]),
             number(both["all"]["ratio"], 3) + interval(both["all"]["ratio_ci95"], 3, both["all"]["n"]),
-            _percent(both["all"]["better"]),
+            percent(both["all"]["better"]),
         ]
         for pair, both in comparisons.items()
     ]
@@ -261,11 +220,3 @@ def _best(values: Sequence[float | None], digits: int, lower_is_better: bool) ->
     choose: Callable[[list[float]], float] = min if lower_is_better else max
     known = [value for value in values if value is not None]
     return number(choose(known), digits) if known else None
-
-
-def _name(method: str, oracles: Sequence[str]) -> str:
-    return f"*{method}*" if method in oracles else method
-
-
-def _percent(share: float | None) -> str:
-    return UNKNOWN if share is None else f"{100 * share:.0f}{_TIED}%"

@@ -6,6 +6,7 @@ from typing import Any
 from pandas import DataFrame
 
 from hfb.evaluation.cells import Cell, by_method, compare, make_cell, start_cases, start_cell, within
+from hfb.evaluation.recordings import recording_cells
 from hfb.evaluation.table_page import table_markdown
 
 __all__ = ["Bins", "summarize", "table_markdown"]
@@ -64,6 +65,7 @@ def summarize(
             }
             for name, cases in found.items()
         },
+        **recording_cells(found),
         "comparisons": _comparisons(found, binned, pairs, bins),
         "skipped_reasons": dict(sorted(skipped.items())),
     }

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hfb.config import Record
+from hfb.datasets.blur_bins import SetName
 from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.benchmark.judge_case import JudgedHandle
 from hfb.tasks.core.environment import code_version
@@ -42,7 +43,7 @@ class ResultsHandle(Record):
 def tabulate(
     *,
     judged: tuple[JudgedHandle, ...],
-    set_name: str,
+    set_name: SetName,
     frames: int,
     methods: tuple[str, ...],
     count: int,
@@ -66,12 +67,12 @@ def tabulate(
     """
     import pandas
 
-    from hfb.datasets.blur_bins import BLUR_BINS, bins_of
+    from hfb.datasets.blur_bins import bins_of
     from hfb.evaluation.tables import summarize, table_markdown
     from hfb.report.plots.benchmark_plots import write_plots
 
     rows = [json.loads(one.path.read_text()) for one in judged]
-    bins = bins_of("bc-cape", frames) if set_name == "bc-cape" else BLUR_BINS
+    bins = bins_of(set_name, frames)
     summary = summarize(rows, set_name, count, skipped, seed, bins, methods)
     paths = [folder / name for name in ("cases.parquet", "summary.json", "table.md")]
     write_bytes_atomic(paths[0], pandas.DataFrame(rows).to_parquet(index=False))

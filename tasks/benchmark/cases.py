@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from hfb.config import CameraConfig, ExposureConfig, InitConfig, MattingConfig, Record
+from hfb.datasets.blur_bins import SetName
 from hfb.datasets.case import Case, case_name, load_case
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
@@ -202,13 +203,13 @@ def see_case(call: SeeCall) -> ReadyHandle:
     return ReadyHandle(case=call.case, clip=clip, mattes=mattes, starts=starts, initial=FileHandle.of(path))
 
 
-def set_name(spec: Spec) -> str:
+def set_name(spec: Spec) -> SetName:
     """Return the name of the set, as on the command line.
 
     Args:
         spec: the set.
     """
-    return "b-aist" if isinstance(spec, RealSpec) else spec.set
+    return spec.set
 
 
 def listing_of(*folders: Path | None) -> str:

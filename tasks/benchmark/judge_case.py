@@ -82,6 +82,7 @@ def judge_case(call: JudgeCall) -> JudgedHandle:
         "blur_rate": case.blur_rate,
         "source": source_of(case),
     }
+    facts |= {name: case.facts[name] for name in ("recording", "average") if name in case.facts}
     facts |= json.loads(ready.initial.path.read_text())
     folder.mkdir(parents=True, exist_ok=True)
     motion = look = alternatives = None

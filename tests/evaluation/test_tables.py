@@ -247,3 +247,90 @@ def test_the_page_of_an_empty_benchmark_is_still_a_page():
     page = table_markdown(_summary([], methods=["best"]))
     assert _cells(page, "MPJPE")["best"] == ["–", "–", "–"]
     assert "Ratio" not in page
+
+
+def _real(case: int, method: str, recording: str, camera: str, average: int, **values) -> dict:
+    facts = {"recording": recording, "source": f"{recording}/{camera}.mp4", "average": average}
+    return _row(case, method, 0.15, **facts, **values)
+
+
+def _real_rows() -> list[dict]:
+    rows = []
+    for case in range(1, 17):
+        place = ("gym", f"cam{case % 2}", 5) if case <= 8 else ("park", "cam0", 5 if case < 13 else 9)
+        told = {
+            "initial_mpjpe_mm": 100.0 + case,
+            "initial_pa_mpjpe_mm": 80.0,
+            "still_motion_mm": 20.0,
+            "true_path_mm": 50.0,
+            "ray_depth_mm": 30.0,
+            "lean_deg": 5.0,
+            "in_plane_px": 4.0,
+        }
+        still = {
+            "mpjpe_mm": 100.0 + case,
+            "pa_mpjpe_mm": 80.0,
+            "motion_mm": 20.0,
+            "better_motion_mm": 20.0,
+            "path_mm": 0.0,
+            "front_wrong": 0.0,
+        }
+        fitted = {
+            "mpjpe_mm": 50.0 + case,
+            "pa_mpjpe_mm": 40.0,
+            "motion_mm": 10.0 + case / 8,
+            "better_motion_mm": 8.0,
+            "path_mm": 30.0,
+            "front_wrong": float(case == 3),
+        }
+        rows += [_real(case, "static", *place, **told, **still), _real(case, "best", *place, **told, **fitted)]
+    return rows
+
+
+def test_real_video_is_told_by_recording_exposure_and_camera():
+    summary = summarize(_real_rows(), "real", 16, {}, 3, BINS, methods=["static", "best"])
+    cells = {(one["recording"], one["average"]): one for one in summary["recordings"]}
+    assert list(cells) == [(r, k) for r in ("gym", "park", None) for k in (5, 9, None)]
+    counts = {key: cell["methods"]["best"]["n"] for key, cell in cells.items()}
+    assert counts == {
+        ("gym", 5): 8,
+        ("gym", 9): 0,
+        ("gym", None): 8,
+        ("park", 5): 4,
+        ("park", 9): 4,
+        ("park", None): 8,
+        (None, 5): 12,
+        (None, 9): 4,
+        (None, None): 16,
+    }
+    gym = cells["gym", 5]["methods"]["best"]
+    assert gym["mpjpe_mm"] == pytest.approx(54.5)
+    assert gym["mpjpe_ci95"][0] < 54.5 < gym["mpjpe_ci95"][1]
+    assert cells[None, None]["methods"]["best"] == summary["methods"]["best"]["all"]
+    assert [one["camera"] for one in summary["cameras"]] == ["gym/cam0.mp4", "gym/cam1.mp4", "park/cam0.mp4"]
+    assert [one["methods"]["best"]["front_wrong"] for one in summary["cameras"]] == [0, 0.25, 0]
+    whole = summary["methods"]["best"]["all"]
+    assert summary["methods"]["static"]["all"]["motion_ratio"] == 1
+    assert whole["motion_ratio"] == pytest.approx((10 + 8.5 / 8) / 20)
+    assert whole["motion_ratio_ci95"][0] < whole["motion_ratio"] < whole["motion_ratio_ci95"][1]
+    assert (whole["better_motion_ratio"], whole["path_share"], whole["n_motion"]) == (0.4, 0.6, 16)
+
+    page = table_markdown(summary)
+    tables = page.split("## By recording and K")[1].split("## Position, front")[0]
+    assert "| recording | method | K = 5 | K = 9 | all K |" in tables
+    low, high = gym["mpjpe_ci95"]
+    assert f"|  | best | 54.5 [{low:.0f},\u00a0{high:.0f};\u00a0n\u00a08] | – |" in tables
+    assert "| park | start (static) | 110.5 (n\u00a04) | 114.5 (n\u00a04) |" in tables
+    moved = page.split("## Position, front")[1].split("## The same by camera")
+    assert "| best | 16 | 58.5\u00a0/\u00a040.0 | 4.0 | 30 | 5.0 | 6\u00a0% | 11.1 | 20.0 | 0.55 [" in moved[0]
+    assert "| gym/cam1.mp4 | start (static) | 4 |" in moved[1]
+    assert "## The same by blur rate" in moved[1]
+    assert "spin" not in moved[0].split("\n\n")[2]
+
+
+def test_other_sets_have_no_recordings():
+    summary = _summary([_fitted(1, 100, 50)])
+    assert {"recordings", "cameras"}.isdisjoint(summary)
+    page = table_markdown(summary)
+    assert "By recording" not in page
+    assert "Position, front" not in page

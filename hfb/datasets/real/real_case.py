@@ -1,4 +1,4 @@
-"""Cases of b-aist: K consecutive frames of a real video become one blurred frame of a longer exposure."""
+"""Cases of b-aist and real: K consecutive frames of a real video become one blurred frame of a longer exposure."""
 
 import json
 import math
@@ -54,7 +54,8 @@ def make_numbered_real_case(spec: RealSpec, number: int, folder: Path) -> Case:
     """
     order = _order(spec, _stamp(spec.videos))
     if not 1 <= number <= len(order):
-        raise InputError(f"{spec.videos} holds {len(order)} windows, there is no case {number}; ask for fewer.")
+        folders = ", ".join(str(folder) for folder in spec.videos)
+        raise InputError(f"{folders}: {len(order)} windows in all, there is no case {number}; ask for fewer.")
     return make_real_case(spec, number, order[number - 1], folder)
 
 
@@ -74,7 +75,7 @@ def make_real_case(spec: RealSpec, number: int, window: RealWindow, folder: Path
         InputError: nobody moves in the window, or the files have changed since it was found.
     """
     recording, footage = window.recording, window.recording.footage()
-    shutter = Shutter(spec.average, spec.frames, footage.fps)
+    shutter = Shutter(window.average, spec.frames, footage.fps)
     plate = recording.stored_plate()
     calibrated = recording.camera()
     full = _full_camera(footage, calibrated, plate.shape[0], plate.shape[1])
@@ -100,7 +101,7 @@ def _look(
     spec: RealSpec, window: RealWindow, footage: Footage, calibrated: CalibratedCamera | None, full: PinholeCamera
 ) -> tuple[SeenJoints | None, View, list[Box] | None]:
     """Return the measured joints (if any), the view of the person, and the person's possible region in each frame."""
-    count = spec.average * spec.frames
+    count = window.average * spec.frames
     markers = window.recording.markers()
     if markers is None or calibrated is None:
         box, body = box_of_change(window.recording, footage, window.first, count)
@@ -132,11 +133,12 @@ def _camera_source(footage: Footage, calibrated: CalibratedCamera | None) -> str
 
 
 def _write_pictures(folder: Path, exposures: list[Exposure], plate: Float[Array, "H W 3"]) -> list[list[int]]:
-    """Write frames, mattes, cut-outs and the plate; return the boxes of the cut-outs."""
+    """Write frames, their sharp middles, mattes, cut-outs and the plate; return the boxes of the cut-outs."""
     folder.mkdir(parents=True, exist_ok=True)
     boxes = []
     for index, exposure in enumerate(exposures):
         write_png(folder / f"frame_{index}.png", linear_to_srgb(exposure.mean))
+        write_png(folder / f"middle_{index}.png", linear_to_srgb(exposure.middle))
         write_matte(folder / f"matte_{index}.png", exposure.matte)
         boxes.append(save_sharp(folder / f"sharp_{index}.png", exposure.cutouts))
     write_png(folder / "background.png", linear_to_srgb(plate))
@@ -194,19 +196,20 @@ def _facts(
         remarks.append(f"no frame rate is given: {footage.fps:g} frames per second assumed")
     return {
         "number": number,
-        "set": "b-aist",
+        "set": spec.set,
         "frames": shutter.frames,
         "blur_rate": sum(rates) / len(rates),
         "blur_rates": rates,
         "source": f"{footage.stem}@{window.first}",
-        "video": recording.video.relative_to(spec.videos).as_posix(),
+        "recording": window.place,
+        "video": window.video,
         "first_frame": window.first,
         "average": shutter.average,
         "fps": footage.fps,
         "exposure_s": shutter.exposure_s,
         "interval_s": shutter.interval_s,
         "light": "linear",
-        "spec": spec.model_dump(mode="json", exclude={"videos"}),
+        "spec": spec.model_dump(mode="json", exclude={"videos", "average"}),
         "truth": joints.source if measured else "estimator",
         "truth_source": TRUTH_SOURCES[joints.source] if measured else joints.source,
         "truth_joints": list(joints.names),
@@ -227,9 +230,9 @@ def _facts(
     }
 
 
-def _stamp(folder: Path) -> tuple[tuple[str, int, int], ...]:
-    """Return the folder's files by name, size and time of change."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
+def _stamp(folders: tuple[Path, ...]) -> tuple[tuple[str, int, int], ...]:
+    """Return the folders' files by name, size and time of change."""
+    files = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
     return tuple((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 

@@ -28,12 +28,14 @@ class Exposure:
         matte: mean of their mattes, a pseudo truth as good as the matting.
         masks: pixels in which each sharp matte is 0.5 or more.
         cutouts: the sharp frames nearest to u = i / 7, premultiplied with their mattes.
+        middle: the sharp frame in the middle; of an even number the later one of the two.
     """
 
     mean: Float[Array, "H W 3"]
     matte: Float[Array, "H W"]
     masks: Bool[Array, "K H W"]
     cutouts: Float[Array, "8 H W 4"]
+    middle: Float[Array, "H W 3"]
 
     def blur_rate(self) -> float:
         """Return |union of the masks| / |one mask| - 1.
@@ -74,6 +76,7 @@ def expose(
     for window in range(shutter.frames):
         total, alphas = np.zeros(plate.shape), np.zeros(plate.shape[:2])
         masks, sharp = [], []
+        middle = plate
         for index in range(shutter.average):
             frame = view.see(next(frames))
             matte = matting(frame, plate) * _allowed(view, boxes, window * shutter.average + index)
@@ -82,6 +85,7 @@ def expose(
             total += frame
             alphas += matte
             masks.append(matte >= 0.5)
+            middle = frame if index == shutter.average // 2 else middle
             premultiplied = np.clip(frame - (1 - matte[..., None]) * plate, 0, 1) * (matte[..., None] > 0)
             if index in _nearest(shutter.average):
                 sharp.append(np.concatenate([premultiplied, matte[..., None]], -1).astype(np.float32))
@@ -90,7 +94,7 @@ def expose(
         order = sorted(set(_nearest(shutter.average)))
         cutouts = np.stack([sharp[order.index(index)] for index in _nearest(shutter.average)])
         mean, matte = total / shutter.average, alphas / shutter.average
-        done.append(Exposure(mean.astype(np.float32), matte.astype(np.float32), np.stack(masks), cutouts))
+        done.append(Exposure(mean.astype(np.float32), matte.astype(np.float32), np.stack(masks), cutouts, middle))
     return done
 
 

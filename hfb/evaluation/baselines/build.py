@@ -6,7 +6,15 @@ from hfb.evaluation.baselines.chain import Chain
 from hfb.evaluation.baselines.fitted import HumanFromBlur
 from hfb.evaluation.baselines.method import Method
 from hfb.evaluation.baselines.method_spec import MethodSpec
-from hfb.evaluation.baselines.oracles import TrueHeight, TrueMatte, TrueStart, TwoStageOracle
+from hfb.evaluation.baselines.oracles import (
+    Floor,
+    SharpMiddle,
+    TrueFront,
+    TrueHeight,
+    TrueMatte,
+    TrueStart,
+    TwoStageOracle,
+)
 from hfb.evaluation.baselines.shape_from_blur import ShapeFromBlur
 from hfb.evaluation.baselines.static import Static
 from hfb.initialization.initializer import make_initializer
@@ -27,6 +35,8 @@ def make_method(spec: MethodSpec, body: Body) -> Method:
         method = TrueHeight(spec.name, method, body)
     if "true-start" in spec.oracles:
         method = TrueStart(spec.name, method, body)
+    if "true-front" in spec.oracles:
+        method = TrueFront(spec.name, method, body)
     if "true-matte" in spec.oracles:
         method = TrueMatte(spec.name, method)
     return method
@@ -41,6 +51,10 @@ def _plain(spec: MethodSpec, body: Body) -> Method:
         return ShapeFromBlur(spec.name, spec.kind == "mfb", subframes)
     if spec.kind == "fit":
         return HumanFromBlur(spec.name, spec.config, spec.frames_alone, body)
+    if spec.kind == "floor":
+        return Floor(spec.name, subframes, body)
+    if spec.kind == "middle":
+        return SharpMiddle(spec.name, make_initializer(InitConfig()), subframes, body)
     if spec.kind == "oracle":
         assert spec.estimator is not None
         own = None if spec.estimator == "simulated" else make_initializer(InitConfig(method=spec.estimator))

@@ -14,8 +14,8 @@ from hfb.evaluation.baselines.chain_spec import ChainSpec, read_chains
 from hfb.io.toml_file import merged, read_toml, to_record
 from hfb.networks.mediapipe_files import networks_in_use
 
-Kind = Literal["static", "interpolated", "sfb", "mfb", "fit", "oracle", "chain"]
-Oracle = Literal["true-matte", "true-start", "true-height"]
+Kind = Literal["static", "interpolated", "sfb", "mfb", "fit", "oracle", "middle", "floor", "chain"]
+Oracle = Literal["true-matte", "true-start", "true-height", "true-front"]
 Estimator = Literal["mediapipe", "matte", "simulated"]
 
 METHOD_NAMES: Mapping[str, str] = {
@@ -28,6 +28,8 @@ METHOD_NAMES: Mapping[str, str] = {
     "oracle-mediapipe": "MediaPipe on the TRUE sharp sub-frames",
     "oracle-matte": "the matte's pose search on the TRUE sharp sub-frames",
     "oracle-simulated": "the simulated estimator, as good as at the lowest blur, on the TRUE sharp sub-frames",
+    "oracle-middle": "real video: hfb's start on the TRUE sharp frame in the middle of the exposure, held still",
+    "oracle-floor": "the body registered to the true joints: the lowest error that poses can reach",
     "NAME=FILE.toml": "Human from Blur with your own options, as for `hfb fit --config FILE.toml`",
 }
 """Names of methods with one line each, for the help."""
@@ -88,6 +90,7 @@ MODIFIERS: Mapping[str, str] = {
     "METHOD@true-matte": "an oracle: the exact mattes in place of the estimated ones",
     "METHOD@true-height": "an oracle: a fit that is told how tall the person is (--fit.height-m)",
     "METHOD@true-start": "an oracle: the true body in the middle of each exposure as the start",
+    "METHOD@true-front": "an oracle: the start, mirrored in depth where that is nearer to the truth",
 }
 """Endings that may be added to a method's name, several of them one after another."""
 
@@ -140,9 +143,8 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     base, *oracles = name.split("@")
     wrong = [oracle for oracle in oracles if oracle not in get_args(Oracle)]
     if wrong:
-        raise InputError(
-            f"method {name}: unknown oracle @{wrong[0]}; there are @true-matte, @true-start and @true-height"
-        )
+        known = ", ".join(f"@{oracle}" for oracle in get_args(Oracle))
+        raise InputError(f"method {name}: unknown oracle @{wrong[0]}; there are {known}")
     if given:
         spec = MethodSpec(name=name, kind="fit", config=_config_of(Path(file)))
     else:
@@ -155,7 +157,7 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     paths = list(spec.chain.paths()) if spec.chain else []
     if spec.kind == "fit":
         paths += [path for path in (spec.config.prior.pose, spec.config.prior.motion) if path is not None]
-    if "mediapipe" in (spec.estimator, spec.chain.estimator if spec.chain else None):
+    if spec.kind == "middle" or "mediapipe" in (spec.estimator, spec.chain.estimator if spec.chain else None):
         paths += networks_in_use()
     paths += [
         data for path in paths if (data := path.with_name(f"{path.name}.data")).is_file()
@@ -173,6 +175,8 @@ def _named(base: str, chains: Path | None) -> MethodSpec:
         return MethodSpec(name=base, kind="chain", config=RunConfig(), chain=known[base])
     if base in ("static", "interpolated", "sfb", "mfb"):
         return MethodSpec.model_validate({"name": base, "kind": base, "config": RunConfig()})
+    if base in ("oracle-middle", "oracle-floor"):
+        return MethodSpec.model_validate({"name": base, "kind": base.removeprefix("oracle-"), "config": RunConfig()})
     if base.startswith("oracle-") and base in METHOD_NAMES:
         estimator = base.removeprefix("oracle-")
         return MethodSpec.model_validate(

@@ -9,6 +9,7 @@ import torch
 
 from hfb.body.height import height_m
 from hfb.body.model import Body
+from hfb.config import MattingConfig
 from hfb.datasets.case import Case
 from hfb.datasets.simulated_start import simulated_starts
 from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES, load_sharp
@@ -18,16 +19,21 @@ from hfb.evaluation.baselines.chain import found_in
 from hfb.evaluation.baselines.estimates import Estimate, interpolate
 from hfb.evaluation.baselines.fitted import HumanFromBlur
 from hfb.evaluation.baselines.method import Method
-from hfb.evaluation.baselines.rows import middle_times_s
+from hfb.evaluation.baselines.rows import middle_times_s, motion_of_rows, points_at, poses_at, row_times_s
+from hfb.evaluation.baselines.static import Static
+from hfb.evaluation.baselines.true_bodies import bodies_on_joints, true_bodies
 from hfb.evaluation.prediction import Prediction
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.initialization.fronts import mirrored_in_depth
 from hfb.initialization.initializer import Initializer
-from hfb.io.media.images.image_io import read_matte
+from hfb.io.media.images.image_io import read_matte, read_picture_srgb
 from hfb.kernels.determinism import one_torch_thread
+from hfb.matting.methods import make_matting
 from hfb.motion.static_pose import FirstBody
 from hfb.photometry import srgb_to_linear
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
-from hfb.typing import Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 _LEAST_BLUR = 0.05  # the lower end of the paper's first interval of blur rates
 
@@ -67,20 +73,47 @@ class TrueStart:
         self._body = body
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """See `Method`. The shape is true too where the truth's betas are those of the body model in use."""
-        truth = load_truth(case.truth)
-        rows = np.abs(truth.motion.times_s[None] - middle_times_s(observation)[:, None]).argmin(1)
-        same = truth.betas_space == self._body.betas_space
+        """See `Method`. The shape is true too, but where the truth's betas are another body model's."""
+        truth = true_bodies(case, self._body)
         true_starts = [
             FirstBody(
-                torch.from_numpy(truth.motion.poses[row].reshape(24, 3)).to(start.pose),
-                torch.from_numpy(truth.motion.trans[row]).to(start.translation),
-                torch.from_numpy(truth.motion.betas).to(start.betas) if same else start.betas,
+                truth.poses[row].to(start.pose),
+                truth.translations[row].to(start.translation),
+                start.betas if truth.betas is None else truth.betas.to(start.betas),
                 "truth",
             )
-            for row, start in zip(rows, starts, strict=True)
+            for row, start in zip(truth.nearest(middle_times_s(observation)).tolist(), starts, strict=True)
         ]
         return self._method(case, observation, true_starts)
+
+
+class TrueFront:
+    """Another method, whose start is mirrored in depth where that is nearer to the truth."""
+
+    def __init__(self, name: str, method: Method, body: Body) -> None:
+        self.name = name
+        self._method = method
+        self._body = body
+
+    def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
+        """See `Method`."""
+        truth = true_bodies(case, self._body)
+        rows = truth.nearest(middle_times_s(observation)).tolist()
+        chosen = [
+            min((start, mirrored_in_depth(start)), key=lambda one: self._distance(one, joints))
+            for start, joints in zip(starts, truth.joints[rows], strict=True)
+        ]
+        return self._method(case, observation, chosen)
+
+    def _distance(self, first: FirstBody, true: Float[Array, "24 3"]) -> float:
+        """Return the mean distance of the known joints after both sides are centred."""
+        dtype = self._body.template.dtype
+        shaped = self._body.shape(first.betas.to(dtype))
+        turns = axis_angle_to_matrix(first.pose.to(dtype))[None]
+        joints = shaped.joints_of(turns, first.translation.to(dtype)[None])[0].double().numpy()
+        known = np.isfinite(true).all(1)
+        own, there = joints[known], true[known]
+        return float(np.linalg.norm(own - own.mean(0) - (there - there.mean(0)), axis=1).mean())
 
 
 class TrueHeight:
@@ -98,16 +131,74 @@ class TrueHeight:
         self._body = body
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """See `Method`.
+        """See `Method`. In real video it is the height of the body that is laid onto the true joints.
 
         Raises:
             InputError: the truth has another body model's betas, or none.
         """
-        truth = load_truth(case.truth)
-        if truth.betas_space != self._body.betas_space:
+        betas = true_bodies(case, self._body).betas
+        if betas is None:
             raise InputError(f"{case.folder}: the true person's height is not known in {self._body.name}'s betas")
-        height = float(height_m(self._body, torch.from_numpy(truth.motion.betas).float()))
-        return self._method.told(height)(case, observation, starts)
+        return self._method.told(float(height_m(self._body, betas.float())))(case, observation, starts)
+
+
+class Floor:
+    """The body registered to the true joints: the lowest error that its poses can reach."""
+
+    def __init__(self, name: str, subframes: int, body: Body) -> None:
+        self.name = name
+        self._subframes = subframes
+        self._body = body
+
+    def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
+        """Poses alone."""
+        started = time.perf_counter()
+        laid = bodies_on_joints(case, self._body)
+        rows_s, frame_index = row_times_s(observation, self._subframes)
+        poses, places = [], []
+        for frame in range(len(observation.mattes)):
+            own, at = laid.frame_index == frame, rows_s[frame_index == frame]
+            poses.append(poses_at(at, laid.times_s[own], laid.poses[own]))
+            places.append(points_at(at, laid.times_s[own], laid.translations[own]))
+        assert laid.betas is not None
+        motion = motion_of_rows(torch.cat(poses), torch.cat(places), laid.betas, observation, self._body)
+        return Prediction(motion, None, None, time.perf_counter() - started)
+
+
+class SharpMiddle:
+    """The start's estimator on the TRUE sharp frame in the middle of each exposure, held still.
+
+    It bounds methods that deblur one sharp image and then estimate a body. Each frame is estimated alone.
+    """
+
+    def __init__(self, name: str, initializer: Initializer, subframes: int, body: Body) -> None:
+        self.name = name
+        self._initializer = initializer
+        self._still = Static(name, False, subframes, body)
+        self._body = body
+
+    def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
+        """Poses alone.
+
+        Raises:
+            InputError: the case has no sharp frames, or nobody is found in one.
+        """
+        started = time.perf_counter()
+        if not all(path.exists() for path in case.middle_paths()):
+            raise InputError(
+                f"{case.folder} has no {case.middle_paths()[0].name}: cases of real video have; make it again"
+            )
+        linear = observation.light == "linear"
+        plate = observation.plate_linear if linear else srgb_to_linear(observation.plate_linear)
+        matting = make_matting(MattingConfig())
+        found = []
+        with one_torch_thread():
+            for path in case.middle_paths():
+                picture = srgb_to_linear(read_picture_srgb(path)).astype(np.float32)
+                matte = torch.from_numpy(matting(picture, plate.numpy()))
+                found.append(self._initializer(torch.from_numpy(picture), plate, matte, observation.camera, self._body))
+        prediction = self._still(case, observation, found)
+        return replace(prediction, seconds=time.perf_counter() - started)
 
 
 class TwoStageOracle:

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from hfb.evaluation.cells import is_start
-from hfb.evaluation.table_page import UNKNOWN, interval, is_oracle, number
+from hfb.evaluation.table_page import is_oracle
+from hfb.evaluation.table_text import UNKNOWN, interval, number
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.report.pages.markdown import markdown
 from hfb.report.pages.page import page, small_picture

@@ -10,7 +10,7 @@ from pandas import DataFrame
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
 from hfb.evaluation.cells import by_method, is_start, known_joints, start_cases, within
 from hfb.evaluation.intervals import mean_ci95
-from hfb.evaluation.table_page import blur_label
+from hfb.evaluation.table_text import blur_label
 from hfb.io.atomic import write_bytes_atomic
 from hfb.report.plots.plot_style import FAINT_GRAY, GRAY, png, sheet, styles
 from hfb.report.plots.reliability_plot import reliability

@@ -112,8 +112,36 @@ def test_mattes_cutouts_and_blur_rate(case: Case) -> None:
         assert np.minimum(mask, cutout[..., 3]).sum() / np.maximum(mask, cutout[..., 3]).sum() > 0.85
 
 
+def test_the_middle_is_a_sharp_frame(case: Case) -> None:
+    left, top, width, height = case.facts["crop"]
+    for window, path in enumerate(case.middle_paths()):
+        true = figure(2 + window * _AVERAGE + _AVERAGE // 2)[top : top + height, left : left + width]
+        np.testing.assert_allclose(read_picture_srgb(path) * 255, true, atol=0.6)
+
+
+def test_a_single_frame_is_an_exposure_too(spec: RealSpec, tmp_path: Path) -> None:
+    """Sharp frames, open for the whole interval, whose truth is known in the middle."""
+    sharp = spec.model_copy(update={"set": "real", "average": (1,)})
+    window = next(window for window in real_windows(sharp)[0] if window.first == 3)
+    case = make_real_case(sharp, 1, window, tmp_path / "case")
+    assert (case.facts["set"], case.facts["average"], case.blur_rate) == ("real", 1, 0)
+    assert (case.facts["recording"], case.facts["video"]) == (window.place, f"{window.place}/cam01_walk.mp4")
+    assert case.facts["exposure_s"] == case.facts["interval_s"] == pytest.approx(1 / FPS)
+    truth = load_joint_truth(case.truth)
+    np.testing.assert_allclose(truth.times_s, [0.5 / FPS, 1.5 / FPS])
+    columns, _ = body_columns(BODY)
+    for row in range(2):
+        np.testing.assert_allclose(truth.joints[row], joints_m(3 + row)[columns], atol=1e-9)
+    left, top, width, height = case.facts["crop"]
+    for row, path in enumerate(case.frame_paths()):
+        true = figure(3 + row)[top : top + height, left : left + width]
+        np.testing.assert_allclose(read_picture_srgb(path) * 255, true, atol=0.6)
+        assert path.read_bytes() == case.middle_paths()[row].read_bytes()
+    assert read_clip(case.clip).exposure.exposure_s(1 / FPS) == pytest.approx(1 / FPS)
+
+
 def test_numbers_follow_the_order_of_choice_and_each_has_the_same_bits(spec: RealSpec, tmp_path: Path) -> None:
-    short = spec.model_copy(update={"average": 2, "frames": 1})
+    short = spec.model_copy(update={"average": (2,), "frames": 1})
     windows, _ = real_windows(short)
     chosen = choose(windows, 2, short.seed)[1]
     second = make_numbered_real_case(short, 2, tmp_path / "two")

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hfb.datasets.real.case_windows import RealWindow, choose, real_windows
+from hfb.datasets.real.case_windows import RealWindow, choose, place_names, real_windows
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.real.source_videos import find_footage, open_footage
 from hfb.datasets.real.video_assets import Recording, find_plate, find_recording
@@ -182,7 +182,7 @@ def test_without_a_plate_the_median_stands_in(tmp_path: Path) -> None:
 
 
 def _windows(counts: dict[str, int]) -> list[RealWindow]:
-    return [RealWindow(Recording(Path(name)), first) for name, count in counts.items() for first in range(count)]
+    return [RealWindow(Recording(Path(name)), first, 5) for name, count in counts.items() for first in range(count)]
 
 
 def test_a_choice_is_spread_repeatable_and_begins_with_the_shorter_one() -> None:
@@ -197,3 +197,65 @@ def test_a_choice_is_spread_repeatable_and_begins_with_the_shorter_one() -> None
     assert [len(per_video[name]) for name in "abc"] == [8, 8, 1]
     gaps = np.diff([*per_video["a"], per_video["a"][0] + 100])
     assert 12 <= gaps.min() <= gaps.max() <= 13
+
+
+def test_several_folders_and_exposures(tmp_path: Path) -> None:
+    """Each video once, however often its folder is given; what is too short for one K serves the others."""
+    write_recording(tmp_path / "gym", count=14)
+    write_recording(tmp_path / "park" / "day", count=6)
+    (tmp_path / "park" / "text.mp4").write_bytes(b"no video" * 50)
+    folders = (tmp_path / "gym", tmp_path / "park", tmp_path / "park" / "day")
+    windows, refused = real_windows(RealSpec(set="real", videos=folders, average=(1, 9), frames=1))
+    found = {(window.place, window.video, window.average) for window in windows}
+    assert found == {
+        ("gym", "gym/cam01_walk.mp4", 1),
+        ("gym", "gym/cam01_walk.mp4", 9),
+        ("day", "day/cam01_walk.mp4", 1),
+    }
+    assert len(windows) == 14 + 6 + 6
+    short = f"{(tmp_path / 'park').as_posix()}/day/cam01_walk.mp4 (K = 9)"
+    assert set(refused) == {short, f"{(tmp_path / 'park').as_posix()}/text.mp4"}
+    assert "has 6 frames and a case needs 9" in refused[short]
+
+
+def test_a_recording_without_measured_joints_is_marked(tmp_path: Path) -> None:
+    write_recording(tmp_path / "gym", count=12)
+    (tmp_path / "gym" / "walk.trc").unlink()
+    spec = RealSpec(set="real", videos=tmp_path / "gym", average=5)
+    assert {(window.place, window.video) for window in real_windows(spec)[0]} == {
+        ("gym (pseudo truth)", "gym/cam01_walk.mp4 (pseudo truth)")
+    }
+
+
+def test_an_empty_folder_among_several_is_told(tmp_path: Path) -> None:
+    write_recording(tmp_path / "gym", count=12)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty holds no video"):
+        real_windows(RealSpec(set="real", videos=(tmp_path / "gym", tmp_path / "empty")))
+
+
+def test_places_have_the_shortest_names_that_differ() -> None:
+    folders = [Path("/a/one/walk"), Path("/b/one/walk"), Path("/b/squat"), Path("/b/squat")]
+    assert list(place_names(folders).values()) == ["a/one/walk", "b/one/walk", "squat"]
+
+
+def test_a_choice_takes_turns_over_videos_and_exposures() -> None:
+    """Every beginning is as even as its length allows, over pairs, over videos and over K."""
+    averages = (1, 5, 9)
+    windows = [
+        RealWindow(Recording(Path(name)), first, average)
+        for name in "abcd"
+        for average in averages
+        for first in range(30)
+    ]
+    order = choose(windows, 1000, 7)
+    assert sorted(map(str, order)) == sorted(map(str, windows))
+    for count in (3, 4, 6, 12, 24, 60):
+        some = choose(windows, count, 7)
+        assert some == order[:count]
+        for dealt, kinds in (([w.recording.video for w in some], 4), ([w.average for w in some], 3)):
+            counts = [dealt.count(one) for one in set(dealt)] + [0] * (kinds - len(set(dealt)))
+            assert max(counts) - min(counts) <= 1
+        pairs = [(w.recording.video, w.average) for w in some]
+        assert max(pairs.count(one) for one in set(pairs)) == -(-count // 12)
+    assert choose(windows, 12, 8) != order[:12]

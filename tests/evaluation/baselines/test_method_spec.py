@@ -84,6 +84,11 @@ def test_frames_and_oracles() -> None:
     assert method_spec("sfb@true-matte").oracles == ("true-matte",)
 
 
+def test_oracles_of_real_video() -> None:
+    assert method_spec("static@true-front").oracles == ("true-front",)
+    assert [method_spec(name).kind for name in ("oracle-middle", "oracle-floor")] == ["middle", "floor"]
+
+
 @pytest.mark.parametrize(
     "name", ["bset", "", "best-no-nothing", "best-degree9", "static-no-image", "best-", "oracle-x"]
 )
@@ -101,7 +106,7 @@ def test_only_a_fit_can_be_told_a_height() -> None:
 
 
 def test_an_unknown_oracle() -> None:
-    with pytest.raises(InputError, match="@true-matte, @true-start and @true-height"):
+    with pytest.raises(InputError, match="@true-matte, @true-start, @true-height, @true-front"):
         method_spec("best@true-mat")
 
 
