@@ -85,7 +85,7 @@ def _trait_or_none(value: Any) -> Hashable:
 
 
 def _jaxtyped_once(function: Any = None, *, typechecker: Any) -> Any:
-    """jaxtyping's decorator, which checks each combination of what is given and returned once.
+    """Jaxtyping's decorator, which checks each combination of what is given and returned once.
 
     What checks is made at the first call: a test process imports five thousand functions and calls a few hundred.
 

@@ -18,20 +18,24 @@ fourth unchanged within one degree) and on 158 synthetic people, some from camer
 
 
 def lean_rad(joints: Float[Tensor, "24 3"]) -> float:
-    """The angle between the image plane and the line from ankles to shoulders; positive where shoulders are farther."""
+    """Return the angle of the line from ankles to shoulders against the image plane; positive where it leans away.
+
+    Args:
+        joints: camera coordinates [m].
+    """
     x, y, z = _stature(joints)
     return math.atan2(z, math.hypot(x, y))
 
 
 def less_lean(first: FirstBody, body: Body) -> FirstBody:
-    """The body turned about the image's horizontal through its root, by a share of how far it leans in depth.
+    """Turn a body about the image's horizontal through its root, by a share of how far it leans in depth.
 
     Networks err there by 7 degrees, most often towards the camera. Most people stand above their feet and most cameras
     look about level, which makes a small lean likelier. Nothing of this holds for bodies that lie, in depth or across
     the image: they stay.
 
     Args:
-        first: the body.
+        first: a static body.
         body: the body model.
     """
     rotations = axis_angle_to_matrix(first.pose)
