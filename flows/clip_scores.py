@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from hfb.evaluation.warnings import ResultWarning, check_front
-from hfb.fitting.front_choice import front_probability
 from hfb.flows.clip_steps import CHUNK, Fitted, Scene, require_all
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.video_handles import JoinedHandle
@@ -71,9 +70,15 @@ def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[
         body=scene.inputs.body,
         config=scene.config.fit,
     ).warnings
-    weighed = [window for window in fitted.windows if fitted.fronts.get(window.segment)]
+    weighed = {
+        frame: fitted.fronts[window.segment]
+        for window in fitted.windows
+        if window.segment in fitted.fronts
+        for frame in window.frames
+    }
     doubtful = check_front(
-        {frame: front_probability(fitted.fronts[window.segment]) for window in weighed for frame in window.frames}
+        {frame: front.probability for frame, front in weighed.items()},
+        {frame: front.turn_deg for frame, front in weighed.items()},
     )
     found = (*found, *([doubtful] if doubtful else []))
     tell(found)

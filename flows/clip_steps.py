@@ -16,7 +16,7 @@ from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, 
 from hfb.flows.runtime.failures import ServerWatch
 from hfb.io.media.plate import HOLDS_PERSON
 from hfb.matting.exposure_match import describe_gains
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, PriorsHandle
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.video_handles import (
     ClipBodiesHandle,
     FootageHandle,
@@ -33,6 +33,7 @@ from hfb.tasks.results.result_warnings import plate_warnings, tell
 from hfb.tasks.task import Task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.video.external_poses import GivenBodyCall, find_given_body, looks_at, pictures_of, read_result
+from hfb.tasks.video.front_votes import weigh_segments
 from hfb.tasks.video.video_clip import find_background, find_person, look_at_clip
 from hfb.tasks.video.video_frames import (
     BetweenCall,
@@ -122,13 +123,13 @@ class Fitted:
 
     Attributes:
         resumed: frames whose fit an earlier run had finished.
-        fronts: per segment the log odds that the first bodies as found face the right way.
+        fronts: which way the person faces, per segment whose windows fitted both fronts.
     """
 
     windows: tuple[WindowHandle, ...]
     person: FileHandle
     resumed: frozenset[int] = field(default_factory=frozenset)
-    fronts: Mapping[int, float] = field(default_factory=dict)
+    fronts: Mapping[int, FrontRecord] = field(default_factory=dict)
 
 
 def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
@@ -311,7 +312,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     again = [
         index
         for index, found in zip(settling, first_fits, strict=True)
-        if found.mirrored != (fronts.get(found.segment, 0.0) < 0)
+        if found.mirrored != (found.segment in fronts and fronts[found.segment].mirrored)
     ]
     if again:  # neighbours outvoted what these windows kept
         calls = [_window_call(scene, bodies, windows[index], None, turned=True) for index in again]
@@ -333,25 +334,12 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     return Fitted(fits, person, frozenset(resumed), fronts)
 
 
-def weigh_segments(fits: Sequence[WindowHandle]) -> dict[int, float]:
-    """Return, per segment of a clip, the log odds that its first bodies face the right way.
-
-    People do not turn around unseen within a segment, and the bodies of one agree: what its windows say adds up.
-
-    Args:
-        fits: windows that were fitted without a person; a segment without one is left out.
-    """
-    odds: dict[int, float] = {}
-    for one in fits:
-        odds[one.segment] = odds.get(one.segment, 0.0) + one.front_log_odds
-    return odds
-
-
 def _turn_bodies(
-    scene: Scene, bodies: ClipBodiesHandle, windows: Sequence[ClipWindow], fronts: Mapping[int, float]
+    scene: Scene, bodies: ClipBodiesHandle, windows: Sequence[ClipWindow], fronts: Mapping[int, FrontRecord]
 ) -> ClipBodiesHandle:
     """Mirror the bodies of segments that are likelier to face the other way."""
-    numbers = sorted({frame for one in windows if fronts.get(one.segment, 0.0) < 0 for frame in one.frames})
+    mirrored = {segment for segment, front in fronts.items() if front.mirrored}
+    numbers = sorted({frame for one in windows if one.segment in mirrored for frame in one.frames})
     if not numbers:
         return bodies
     calls = [

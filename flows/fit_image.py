@@ -139,7 +139,8 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             config=config.fit,
         ).warnings
         if fitted.front is not None:
-            doubtful = check_front(dict.fromkeys(numbers, fitted.front.probability))
+            turns = dict.fromkeys(numbers, fitted.front.turn_deg)
+            doubtful = check_front(dict.fromkeys(numbers, fitted.front.probability), turns)
             found = (*found, *([doubtful] if doubtful else []))
         tell(found)
         image = strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder)

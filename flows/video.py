@@ -14,7 +14,6 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import RunConfig
 from hfb.fitting.confidence import radius_condition
-from hfb.fitting.front_choice import front_probability
 from hfb.flows.clip_scores import draw, score, warn
 from hfb.flows.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
 from hfb.flows.runtime.failures import ask_server, explain_failures
@@ -150,11 +149,7 @@ def _result(
         "filled": sorted({number for number, filled in enumerate(bodies.filled) if filled} | set(joined.bridged)),
         "windows": len(fitted.windows),
         "resumed_frames": len(fitted.resumed),
-        "fronts": [
-            {"segment": segment, "probability": round(front_probability(odds), 4), "mirrored": odds < 0}
-            for segment, odds in sorted(fitted.fronts.items())
-            if odds != 0
-        ],
+        "fronts": [{"segment": segment, **front.model_dump()} for segment, front in fitted.fronts.items()],
         **{name: _mean(values) for name, values in scores.items()},
         "confidence": radius_condition([first.source for first in bodies.firsts if first is not None]),
         "worst_jump_mm": joined.worst_jump_mm,

@@ -53,7 +53,7 @@ class ResultWarning(Record):
     message: str
 
 
-_SURE_FRONT = 0.8
+_SURE_FRONT, _ANOTHER_FRONT_DEG = 0.8, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,13 +143,18 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
     )
 
 
-def check_front(probability: Mapping[int, float]) -> ResultWarning | None:
+def check_front(probability: Mapping[int, float], turn_deg: Mapping[int, float]) -> ResultWarning | None:
     """Return a warning where two fits, one per way the person may face, explain the frames about as well.
 
     Args:
         probability: of the front that was kept, by frame; of frames whose front was never in doubt none.
+        turn_deg: angle between both fronts, of the same frames; a small one is no other front.
     """
-    low = {frame: value for frame, value in sorted(probability.items()) if value < _SURE_FRONT}
+    low = {
+        frame: value
+        for frame, value in sorted(probability.items())
+        if value < _SURE_FRONT and turn_deg[frame] > _ANOTHER_FRONT_DEG
+    }
     if not low:
         return None
     worst = min(low.values())

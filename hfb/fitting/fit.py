@@ -15,7 +15,7 @@ from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import shipped_radius_mm
 from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
-from hfb.fitting.front_choice import FrontChoice, front_log_odds
+from hfb.fitting.front_choice import FrontChoice, front_log_odds, turn_between_deg
 from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.refine import InitialEvidence, predict_initial_evidence
@@ -353,13 +353,9 @@ class _Schedule:
         difference = other.loss - fitted.loss
         log_odds = front_log_odds(difference, turned.doubt, [one.source for one in bodies])
         kept, left = (fitted, other) if log_odds >= 0 else (other, fitted)
-        front = FrontChoice(
-            log_odds=log_odds,
-            loss_difference=difference,
-            doubt=turned.doubt,
-            other=self._result(left).motion,
-        )
-        result = self._complete(kept)
+        result, rest = self._complete(kept), self._result(left).motion
+        turn_deg = turn_between_deg(result.motion, rest)
+        front = FrontChoice(log_odds, difference, turned.doubt, rest, turn_deg)
         alternatives = result.alternatives
         if alternatives is not None:
             alternatives = replace(alternatives, other_front=front.as_alternative())

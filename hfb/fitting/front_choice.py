@@ -20,6 +20,7 @@ import numpy as np
 from hfb.fitting.alternatives import FrontMotion
 from hfb.fitting.confidence import StartKind, start_kind
 from hfb.motion.sampled import SampledMotion
+from hfb.typing import Array, Float
 
 LARGEST_DIFFERENCE = 1.0
 """Of two losses: beyond it one of the fits has failed, and how badly says nothing more."""
@@ -34,12 +35,15 @@ class FrontChoice:
         loss_difference: loss of the fit from the mirrored bodies less that from the bodies as found.
         doubt: mean of `hfb.initialization.fronts.front_doubts`.
         other: the motion that was fitted with the other front.
+        turn_deg: angle between both chests at mid-exposure, the mean over the frames. The mirror image of somebody seen
+            from the side faces the same way: the angle is small there, and the choice is one of left and right.
     """
 
     log_odds: float
     loss_difference: float
     doubt: float
     other: SampledMotion
+    turn_deg: float
 
     @property
     def mirrored(self) -> bool:
@@ -55,6 +59,26 @@ class FrontChoice:
         """Return the motion that was not kept, as `Alternatives` holds it."""
         other = self.other
         return FrontMotion(other.poses, other.trans, other.joints, 1 - self.probability)
+
+
+def turn_between_deg(one: SampledMotion, other: SampledMotion) -> float:
+    """Return the angle between the chests of two motions at mid-exposure, the mean over the frames.
+
+    Args:
+        one: a motion.
+        other: at the same instants.
+    """
+    numbers = np.unique(one.frame_index)
+    rows = [int(one.rows_of(int(number))[len(one.rows_of(int(number))) // 2]) for number in numbers]
+    cosines = (_chests(one.joints[rows]) * _chests(other.joints[rows])).sum(-1)
+    return float(np.rad2deg(np.arccos(np.clip(cosines, -1, 1))).mean())
+
+
+def _chests(joints: Float[Array, "T 24 3"]) -> Float[Array, "T 3"]:
+    """Return unit normals of the planes through shoulders and hips."""
+    (left, right), hips = (joints[:, 16], joints[:, 17]), joints[:, 1] + joints[:, 2]
+    normals = np.cross(left - right, left + right - hips)
+    return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
 
 
 def front_probability(log_odds: float) -> float:

@@ -141,10 +141,12 @@ class FrontRecord(Record):
     Attributes:
         probability: of the front that was kept.
         mirrored: the first bodies were found facing the other way.
+        turn_deg: angle between both; small for somebody seen from the side, whose left and right it is about.
     """
 
     probability: float
     mirrored: bool
+    turn_deg: float
 
 
 class FitHandle(Record):

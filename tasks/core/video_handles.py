@@ -170,6 +170,7 @@ class WindowHandle(FileHandle):
     loss: float
     mirrored: bool = False
     front_log_odds: float = 0.0
+    front_turn_deg: float = 0.0
 
 
 class JoinedHandle(Record):

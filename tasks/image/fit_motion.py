@@ -73,8 +73,10 @@ def fit_motion(
         alternatives = FileHandle.of(folder / "alternatives.npz")
         directions = tuple(direction_record(result.alternatives))
     front = None
-    if result.front is not None:
-        front = FrontRecord(probability=round(result.front.probability, 4), mirrored=result.front.mirrored)
+    if (found := result.front) is not None:
+        front = FrontRecord(
+            probability=round(found.probability, 4), mirrored=found.mirrored, turn_deg=round(found.turn_deg, 1)
+        )
     return FitHandle(
         motion=motion,
         texture=texture,

@@ -182,6 +182,7 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
                 loss=found.loss,
                 mirrored=found.mirrored,
                 front_log_odds=found.front_log_odds,
+                front_turn_deg=found.front_turn_deg,
             )
         )
     return handles

@@ -10,6 +10,7 @@ import pytest
 
 from hfb.evaluation.warnings import (
     Look,
+    check_front,
     check_left_over,
     check_light,
     check_matte_iou,
@@ -220,3 +221,12 @@ def _changed_person(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
     closed = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     return (labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()).astype(np.float32)
+
+
+def test_a_front_that_may_be_the_other_is_told() -> None:
+    found = check_front({0: 0.95, 1: 0.6, 2: 0.55}, {0: 170.0, 1: 170.0, 2: 20.0})
+    assert found is not None
+    assert (found.code, found.value, found.frames) == ("front", 0.6, (1,))  # seen from the side there is no other front
+    assert "hfb models fetch" in found.message
+    assert check_front({0: 0.9}, {0: 170.0}) is None
+    assert check_front({}, {}) is None

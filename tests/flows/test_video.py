@@ -11,7 +11,6 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.errors import InputError
-from hfb.flows.clip_steps import weigh_segments
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.images.image_io import read_picture_srgb, write_matte, write_png
 from hfb.motion.motion_file import load_motion
@@ -19,6 +18,7 @@ from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.photometry import linear_to_srgb
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 from hfb.tasks.core.video_handles import WindowHandle
+from hfb.tasks.video.front_votes import weigh_segments
 from hfb.tasks.video.video_windows import MirrorCall, mirror_body
 from tests.cli.conftest import _own_logging  # noqa: F401  (a command runs in this process)
 from tests.faults.stores import artifacts_of, assert_recorded_later, lost
@@ -211,13 +211,22 @@ def test_windows_go_together_on_a_device(store: Path, tmp_path: Path) -> None:
 
 
 def test_windows_vote_on_the_front_of_their_segment() -> None:
-    def fit(segment: int, odds: float) -> WindowHandle:
+    def fit(segment: int, odds: float, turn_deg: float = 170.0) -> WindowHandle:
         nowhere = FileHandle(path=Path("window.npz"), sha256="0" * 64)
         return WindowHandle(
-            **nowhere.model_dump(), frames=(0, 1), segment=segment, loss=1.0, mirrored=odds < 0, front_log_odds=odds
+            **nowhere.model_dump(),
+            frames=(0, 1),
+            segment=segment,
+            loss=1.0,
+            mirrored=odds < 0,
+            front_log_odds=odds,
+            front_turn_deg=turn_deg,
         )
 
-    assert weigh_segments([fit(0, -0.5), fit(0, 2.0), fit(2, -1.0), fit(3, 0.0)]) == {0: 1.5, 2: -1.0, 3: 0.0}
+    voted = weigh_segments([fit(0, -0.5), fit(0, 2.0, 20.0), fit(2, -1.0), fit(3, 0.0, 0.0)])
+    assert {segment: front.mirrored for segment, front in voted.items()} == {0: False, 2: True}
+    assert voted[0].probability == pytest.approx(1 / (1 + np.exp(-1.5)), abs=1e-4)
+    assert voted[0].turn_deg == 170
 
 
 def test_a_body_is_mirrored_onto_its_frame(tmp_path: Path) -> None:

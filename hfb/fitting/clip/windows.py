@@ -62,6 +62,7 @@ class WindowFit:
         history: one value per iteration of every term.
         mirrored: the fit began from the first bodies' mirror images in depth.
         front_log_odds: that the first bodies face the right way; 0 where both fronts were not fitted.
+        front_turn_deg: angle between both fronts, see `hfb.fitting.front_choice.FrontChoice`.
     """
 
     frames: tuple[int, ...]
@@ -75,6 +76,7 @@ class WindowFit:
     history: dict[str, list[float]] = field(default_factory=dict)
     mirrored: bool = False
     front_log_odds: float = 0.0
+    front_turn_deg: float = 0.0
 
 
 def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...]:
@@ -227,6 +229,7 @@ def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> Wind
         history=found.history,
         mirrored=found.front is not None and found.front.mirrored,
         front_log_odds=0.0 if found.front is None else found.front.log_odds,
+        front_turn_deg=0.0 if found.front is None else found.front.turn_deg,
     )
 
 
@@ -251,6 +254,7 @@ def save_window(path: Path, found: WindowFit) -> None:
         "history": np.array(json.dumps(found.history)),
         "mirrored": np.array(found.mirrored),
         "front_log_odds": np.array(found.front_log_odds),
+        "front_turn_deg": np.array(found.front_turn_deg),
     }
     if found.texture is not None:
         arrays["texture"] = found.texture.detach().numpy()
@@ -290,6 +294,7 @@ def load_window(path: Path) -> WindowFit:
             history=json.loads(str(content["history"])),
             mirrored=bool(content["mirrored"]),
             front_log_odds=float(content["front_log_odds"]),
+            front_turn_deg=float(content["front_turn_deg"]),
         )
     except FileNotFoundError:
         raise InputError(f"there is no window's result at {path}") from None
