@@ -13,6 +13,7 @@ from hfb.datasets.real.source_videos import Footage, open_footage
 from hfb.errors import InputError
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.io.media.lens.camera_files import CalibratedCamera, camera_of, read_calibration
+from hfb.io.media.plate_colours import COMPARED_FRAMES, in_colours_of
 from hfb.io.media.video.video_reading import median_plate
 from hfb.typing import Array, Bool, Float
 
@@ -71,7 +72,7 @@ class Recording:
 
     def stored_plate(self) -> Float[Array, "H W 3"]:
         """Read the clean background as the video stores images, in [0, 1], as distorted as its frames."""
-        return read_picture_srgb(self.plate) if self.plate else _median(self.video)
+        return _in_video_colours(self.plate, self.video) if self.plate else _median(self.video)
 
 
 def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
@@ -179,6 +180,16 @@ def changed(picture: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> Boo
 @lru_cache(maxsize=32)
 def _footage(video: Path) -> Footage:
     return open_footage(video)
+
+
+@lru_cache(maxsize=1)
+def _in_video_colours(plate: Path, video: Path) -> Float[Array, "H W 3"]:
+    """Return a plate from an image, in the colours of the video's frames."""
+    stored, footage = read_picture_srgb(plate), _footage(video)
+    if footage.pictures or footage.clip.transfer != "srgb":
+        return stored
+    chosen = np.linspace(0, footage.count - 1, COMPARED_FRAMES + 2).round().astype(int)[1:-1].tolist()
+    return in_colours_of(stored, [next(footage.stored_frames(number, number + 1)) for number in chosen])[0]
 
 
 @lru_cache(maxsize=1)

@@ -10,6 +10,7 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.io.media.footage import Footage
 from hfb.io.media.images.image_decoding import decode_picture, doubt_depths
+from hfb.io.media.plate_colours import COMPARED_FRAMES, in_colours_of
 from hfb.io.media.video.video_pixels import square_size, stretched
 from hfb.typing import Array, Bool, Float, Shaped
 
@@ -52,8 +53,9 @@ def find_plate(
         picture = decode_picture(how, footage.stored)
         stored = _in_square_pixels(picture.pixels, footage)
         _check_size(stored, footage)
-        remarks = (*picture.remarks, *doubt_depths([(how, picture.seems_bits)], footage.stored))
-        plate, told = footage.developed(stored), "; ".join((f"background: {how.name}", *remarks))
+        plate, remark = _in_colours_of(footage.developed(stored), footage)
+        doubts = doubt_depths([(how, picture.seems_bits)], footage.stored)
+        told = "; ".join((f"background: {how.name}", *picture.remarks, *doubts, *([remark] if remark else [])))
         if footage.count < _SURE_FROM:
             doubt = check_plate(plate, footage, sure=False)
             return plate, f"{told}; {doubt}" if doubt else told
@@ -65,6 +67,13 @@ def find_plate(
         return _best_still(footage, on_progress)
     check_plate(plate, footage)
     return plate, told
+
+
+def _in_colours_of(plate: Float[Array, "H W 3"], footage: Footage) -> tuple[Float[Array, "H W 3"], str | None]:
+    """Return a plate from an image in the colours of a video, and a remark where it was converted."""
+    if footage.index is None or footage.stored != "srgb" or plate.shape[:2] != (footage.height, footage.width):
+        return plate, None
+    return in_colours_of(plate, list(footage.chosen(_spread_over(footage.count, COMPARED_FRAMES).tolist())))
 
 
 def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[Array, "H W 3"]:
