@@ -1,7 +1,8 @@
 """A plate whose colours were decoded by another matrix than the video's: recognised and converted.
 
-OpenCV and plain swscale decode every video as BT.601, players decode HD as BT.709. A plate that was cut out of the same
-video by one and compared with frames by the other differs wherever the scene is colourful: saturated red by 20 levels.
+Where a video does not state its matrix, OpenCV and plain swscale decode it as BT.601, players decode HD as BT.709. A
+plate that was cut out of the video by one and compared with frames by the other differs wherever the scene is
+colourful: saturated red by 20 levels.
 """
 
 from collections.abc import Sequence
