@@ -45,7 +45,10 @@ def _each(value: Any) -> Hashable:
 
 
 def _alike(value: Any) -> Hashable:
-    if len(value) > _MANY_ITEMS or len(traits := set(map(_trait, value))) > 1:
+    # Data nested in data may be of any depth, and costs more to describe than to check.
+    if len(value) > _MANY_ITEMS or any(isinstance(one, list | dict | set | frozenset) for one in value):
+        raise _Unlike
+    if len(traits := set(map(_trait, value))) > 1:
         raise _Unlike
     return type(value), *traits
 
