@@ -82,9 +82,11 @@ def _trait(value: Any) -> Hashable:
 
 def _trait_or_none(value: Any) -> Hashable:
     try:
-        return _trait(value)
-    except _Unlike:
+        trait = _trait(value)
+        hash(trait)
+    except (_Unlike, TypeError):  # the shapes of tensors without content hold no numbers
         return None
+    return trait
 
 
 def _jaxtyped_once(function: Any = None, *, typechecker: Any) -> Any:
