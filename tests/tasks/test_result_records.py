@@ -45,6 +45,7 @@ def test_a_pickled_record_is_removed_before_prefect_runs_it(tmp_path: Path) -> N
     assert not attack.target.exists()
 
 
+@pytest.mark.integration
 def test_a_flow_within_another_keeps_its_own_records(tmp_path: Path) -> None:
     """As `hfb batch` runs clips, and a deployment any flow."""
     place = str(tmp_path / "clip" / "records")

@@ -142,6 +142,7 @@ def test_a_bare_address_is_found() -> None:
     assert not printed_addresses("print(without_secrets(f'no server at {url}'))")
 
 
+@pytest.mark.integration
 def test_commands_leave_no_token_anywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
