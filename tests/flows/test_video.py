@@ -16,7 +16,7 @@ from hfb.io.media.images.image_io import read_picture_srgb, write_matte, write_p
 from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.photometry import linear_to_srgb
-from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FrameHandle
 from hfb.tasks.core.video_handles import WindowHandle
 from hfb.tasks.video.front_votes import weigh_segments
 from hfb.tasks.video.video_windows import MirrorCall, mirror_body
@@ -239,7 +239,7 @@ def test_a_body_is_mirrored_onto_its_frame(tmp_path: Path) -> None:
     files = {name: FileHandle.of(tmp_path / name) for name in ("frame.png", "plate.png", "matte.png")}
     rows = scene.observation.camera.matrix().tolist()
     still = ClipHandle(
-        frames=(files["frame.png"],),
+        frames=(FrameHandle.of(tmp_path / "frame.png"),),
         background=files["plate.png"],
         height=64,
         width=64,
