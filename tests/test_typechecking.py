@@ -61,6 +61,21 @@ def test_lengths_that_are_told_by_numbers() -> None:
         many([ZEROS((2, 3))], 4)
 
 
+def test_data_of_any_depth_costs_nothing() -> None:
+    """Lists of lists, such as a damaged JSON file holds: each level doubles what there is to describe."""
+
+    @jaxtyping.jaxtyped(typechecker=checked)
+    def kind_of(data: Any, points: Float[Array, "N 3"]) -> str:
+        return type(data).__name__
+
+    data: Any = {}
+    for _ in range(60):
+        data = [data, {"again": data}]
+    assert kind_of(data, ZEROS((4, 3))) == "list"
+    with pytest.raises(BeartypeCallHintViolation):
+        kind_of(data, ZEROS((4, 2)))
+
+
 def test_one_bad_item_among_good_ones() -> None:
     good, bad = ZEROS((2, 3)), ZEROS((2, 4))
     many([good, good])

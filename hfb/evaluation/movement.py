@@ -36,7 +36,8 @@ class MovementErrors:
         motion_mm: distance of joints after each joint's mean over the exposure is subtracted from both paths.
         better_motion_mm: the same with time reversed in the frames in which that lowers it.
         still_motion_mm: ``motion_mm`` of a still body, which is the amount of true motion.
-        path_mm, true_path_mm: mean length of the joints' paths about the root during an exposure.
+        path_mm: mean length of the joints' paths about the root during an exposure.
+        true_path_mm: the same of the truth.
     """
 
     in_plane_px: float

@@ -49,7 +49,7 @@ def less_lean(first: FirstBody, body: Body) -> FirstBody:
 
 
 def _stature(joints: Float[Tensor, "24 3"]) -> tuple[float, float, float]:
-    """From the ankles' middle to the shoulders' [m]."""
+    """Return the vector from the middle of the ankles to that of the shoulders [m]."""
     shoulders, ankles = (
         joints[[JOINT_NAMES.index(f"left_{name}"), JOINT_NAMES.index(f"right_{name}")]].mean(0)
         for name in ("shoulder", "ankle")

@@ -31,11 +31,11 @@ _LEAST_COMMON, _LEAST_BALANCE = 0.025, 0.025
 
 
 def frame_gain(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Gain:
-    """How many times brighter a frame's background is than its plate, per channel; exactly 1 where it is the same.
+    """Return a frame's exposure over its plate's, per channel; exactly 1 where they are the same.
 
-    The ratio that most pixels share, those that show the plate's own texture before others: whoever covers half of the
-    image does not count. All channels have one value unless the white balance differs, too. Beyond a factor of two it
-    is 1: then it is another light.
+    It is the ratio that most pixels share. Pixels that show the plate's texture count more, so that a person who covers
+    half of the image does not decide. All channels have one value unless the white balance differs too. Beyond a
+    factor of two the light is another one, and the gain 1.
 
     Args:
         frame_linear: the frame, in [0, 1].
@@ -70,10 +70,10 @@ def frame_gain(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "
 def in_plate_exposure(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], gain: Gain
 ) -> Float[Array, "H W 3"]:
-    """The frame divided by its gain.
+    """Divide a frame by its gain.
 
-    What is clipped tells no light. Where the frame is, it may have been as bright as the plate, and is taken to be, but
-    for what its other channels lack there; where the plate is, the frame is cut in the same way.
+    Clipped values do not state the light. Where the frame is clipped, it is taken to be as bright as the plate, less
+    the share that its unclipped channels lack there; where the plate is clipped, the frame is clipped alike.
 
     Args:
         frame_linear: the frame.
@@ -92,7 +92,7 @@ def in_plate_exposure(
 def _share_of_plate(
     even: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], known: Bool[Array, "H W 3"]
 ) -> Float[Array, "H W 1"]:
-    """How much of the plate's light a pixel has in the channels that are known; 1 where none is.
+    """Return the share of the plate's light that a pixel has in its known channels; 1 where none is known.
 
     A limb that passes swiftly before a white wall darkens it: where red is clipped, blue still shows the limb.
     """
@@ -102,7 +102,7 @@ def _share_of_plate(
 
 
 def describe_gains(gains: Sequence[Gain]) -> str | None:
-    """One sentence on the exposures that are evened out; None where there are none.
+    """Return a sentence on the exposures that are evened out; None where there are none.
 
     Args:
         gains: of all frames, in their order.
@@ -123,7 +123,7 @@ def describe_gains(gains: Sequence[Gain]) -> str | None:
 def _log_ratios(
     frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n"]]:
-    """Of the pixels of a small picture that are neither dark nor clipped in either, and how much each says."""
+    """Return log ratios and weights of the pixels that are neither dark nor clipped, at a small size."""
     clipped = np.any((frame >= _CLIPPED) | (plate >= _CLIPPED), axis=-1)
     small_frame, small_plate = (shrink(one, _LOOKED_AT_PX) for one in (frame, plate))
     usable: Bool[Array, "h w"] = shrink(np.asarray(clipped, np.float32), _LOOKED_AT_PX) < 1e-3
@@ -134,9 +134,9 @@ def _log_ratios(
 
 
 def _shows_plate(frame: Float[Array, "h w"], plate: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Weight of each pixel of two pictures in logarithms: where the plate has a texture, does the frame have it, too?
+    """Return the weight of each pixel: larger where the plate has a texture that the frame has too.
 
-    A person hides it; so a plain coat before a patterned wall counts less than the wall, however large it is.
+    Both are in logarithms. A plain coat before a patterned wall counts less than the wall, however large it is.
     """
     apart, pattern = (_spread(one) for one in (frame - plate, plate))
     textured = pattern > _LEAST_TEXTURE
@@ -144,13 +144,13 @@ def _shows_plate(frame: Float[Array, "h w"], plate: Float[Array, "h w"]) -> Floa
 
 
 def _spread(picture: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Standard deviation around every pixel."""
+    """Return the standard deviation around every pixel."""
     size = (_AROUND_PX, _AROUND_PX)
     return np.sqrt(np.maximum(cv2.blur(picture**2, size) - cv2.blur(picture, size) ** 2, 0))
 
 
 def _most_shared(ratio: Float[Array, "n"], weight: Float[Array, "n"]) -> float:
-    """The logarithm that most pixels share; the smaller one where two are shared by about as many."""
+    """Return the logarithm that most pixels share; the smaller one where two are shared by about as many."""
     edges = np.arange(-_MOST_LOG, _MOST_LOG + _STEP, _STEP)
     counts, _ = np.histogram(ratio, edges, weights=weight)
     smooth = cv2.GaussianBlur(counts.astype(np.float64)[None], (0, 0), 1.5)[0]

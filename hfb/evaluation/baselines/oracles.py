@@ -88,7 +88,13 @@ class TrueStart:
 
 
 class TrueFront:
-    """Another method, whose start is mirrored in depth where that is nearer to the truth."""
+    """Another method whose start is mirrored in depth where that is nearer to the truth.
+
+    Args:
+        name: name of the method.
+        method: method that gets the start.
+        body: model of the start.
+    """
 
     def __init__(self, name: str, method: Method, body: Body) -> None:
         self.name = name

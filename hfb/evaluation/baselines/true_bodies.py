@@ -23,9 +23,11 @@ class TrueBodies:
     """The body of one person at M true instants.
 
     Attributes:
-        times_s: since the first shutter opened [s]. frame_index: the exposure of each instant.
+        times_s: since the first shutter opened [s].
+        frame_index: the exposure of each instant.
         joints: the truth's joints [m], NaN where unknown.
-        poses: axis-angle [rad]. translations: [m].
+        poses: axis-angle [rad].
+        translations: [m].
         betas: None where the truth has those of another body model.
     """
 
