@@ -15,7 +15,7 @@ from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import shipped_radius_mm
 from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
-from hfb.fitting.front_choice import FrontChoice, front_log_odds, turn_between_deg
+from hfb.fitting.front_choice import FitLoss, FrontChoice, front_log_odds, loss_log_ratio, turn_between_deg
 from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.refine import InitialEvidence, predict_initial_evidence
@@ -280,10 +280,13 @@ class _Fitted:
     stages: StagesResult
 
     @property
-    def loss(self) -> float:
-        """Weighted loss of the best iterate; 0 without iterations."""
-        history = self.stages.history
-        return history["total"][self.stages.best_iteration] if history else 0.0
+    def loss(self) -> FitLoss:
+        """Losses of the best iterate; 0 without iterations."""
+        total, matte = (
+            values[self.stages.best_iteration] if (values := self.stages.history.get(name)) else 0.0
+            for name in ("total", "matte")
+        )
+        return FitLoss(total, matte)
 
 
 @dataclass(frozen=True)
@@ -350,12 +353,12 @@ class _Schedule:
             return self._complete(fitted)
         bodies, turned = fitted.start.problem.first_bodies, fitted.start.problem.other_front
         assert turned is not None
-        difference = other.loss - fitted.loss
-        log_odds = front_log_odds(difference, turned.doubt, [one.source for one in bodies])
+        loss_ratio = loss_log_ratio(fitted.loss, other.loss)
+        log_odds = front_log_odds(loss_ratio, turned.doubt, [one.source for one in bodies])
         kept, left = (fitted, other) if log_odds >= 0 else (other, fitted)
         result, rest = self._complete(kept), self._result(left).motion
         turn_deg = turn_between_deg(result.motion, rest)
-        front = FrontChoice(log_odds, difference, turned.doubt, rest, turn_deg)
+        front = FrontChoice(log_odds, loss_ratio, turned.doubt, rest, turn_deg)
         alternatives = result.alternatives
         if alternatives is not None:
             alternatives = replace(alternatives, other_front=front.as_alternative())

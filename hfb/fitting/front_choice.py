@@ -2,9 +2,10 @@
 
 Both are fitted alike. The evidence for "as found" against "mirrored" is
 
-    log odds = w_loss (loss_mirrored - loss_found) + w_doubt doubt + prior,
+    log odds = w_loss log(loss_mirrored / loss_found) + w_doubt doubt + prior,
 
-whose weights depend on the kind of start. They were fitted to fits whose truth is known (`hfb train fronts`) and lie in
+whose weights depend on the kind of start. Where the better fit does not cover the mattes, neither has explained the
+frames, and the first term is 0. The weights were fitted to fits whose truth is known (`hfb train fronts`) and lie in
 data/fronts.json, with the counts.
 """
 
@@ -22,8 +23,23 @@ from hfb.fitting.confidence import StartKind, start_kind
 from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Float
 
-LARGEST_DIFFERENCE = 1.0
-"""Of two losses: beyond it one of the fits has failed, and how badly says nothing more."""
+LARGEST_RATIO = 0.7
+"""Largest logarithm of two losses that counts: beyond it one fit has failed, and how badly does not matter."""
+_LARGEST_MATTE_LOSS = 0.085
+"""Of a fit that explains its frames: good fits of real images reach 0.07, walks whose matte holds shade 0.09 to 0.12."""
+
+
+@dataclass(frozen=True)
+class FitLoss:
+    """Losses of a fit's best iterate.
+
+    Attributes:
+        total: weighted sum of all terms.
+        matte: matte term, unweighted; 0 where it is not used.
+    """
+
+    total: float
+    matte: float
 
 
 @dataclass(frozen=True)
@@ -32,7 +48,7 @@ class FrontChoice:
 
     Attributes:
         log_odds: of the front of the first bodies as found; negative where the mirrored one was kept.
-        loss_difference: loss of the fit from the mirrored bodies less that from the bodies as found.
+        loss_ratio: see `loss_log_ratio`.
         doubt: mean of `hfb.initialization.fronts.front_doubts`.
         other: the motion that was fitted with the other front.
         turn_deg: angle between both chests at mid-exposure, the mean over the frames. The mirror image of somebody seen
@@ -40,7 +56,7 @@ class FrontChoice:
     """
 
     log_odds: float
-    loss_difference: float
+    loss_ratio: float
     doubt: float
     other: SampledMotion
     turn_deg: float
@@ -90,17 +106,29 @@ def front_probability(log_odds: float) -> float:
     return 1 / (1 + math.exp(-abs(log_odds)))
 
 
-def front_log_odds(loss_difference: float, doubt: float, sources: Sequence[str]) -> float:
+def loss_log_ratio(found: FitLoss, mirrored: FitLoss) -> float:
+    """Return log(loss_mirrored / loss_found), at most `LARGEST_RATIO`; 0 where the better fit misses the mattes.
+
+    Args:
+        found: of the fit from the bodies as found.
+        mirrored: of the fit from the mirrored bodies.
+    """
+    better = min(found, mirrored, key=lambda one: one.total)
+    if better.matte > _LARGEST_MATTE_LOSS or better.total <= 0:
+        return 0.0
+    return float(np.clip(math.log(mirrored.total / found.total), -LARGEST_RATIO, LARGEST_RATIO))
+
+
+def front_log_odds(loss_ratio: float, doubt: float, sources: Sequence[str]) -> float:
     """Return the log odds of the front as found; of frames with several kinds of start the mean of what each says.
 
     Args:
-        loss_difference: loss of the fit from the mirrored bodies less that from the bodies as found.
+        loss_ratio: see `loss_log_ratio`.
         doubt: mean of `hfb.initialization.fronts.front_doubts` over the frames.
         sources: of the first bodies.
     """
-    clipped = float(np.clip(loss_difference, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE))
     weights = [shipped_front_weights(start_kind(source)) for source in sources]
-    return float(np.mean([one.loss * clipped + one.doubt * doubt + one.prior for one in weights]))
+    return float(np.mean([one.loss * loss_ratio + one.doubt * doubt + one.prior for one in weights]))
 
 
 @dataclass(frozen=True)

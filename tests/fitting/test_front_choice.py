@@ -12,7 +12,7 @@ from hfb.datasets.example import write_example
 from hfb.datasets.truth import Truth, load_truth
 from hfb.fitting.alternatives import load_alternatives, save_alternatives
 from hfb.fitting.fit import FitResult, fit
-from hfb.fitting.front_choice import front_log_odds, shipped_front_weights
+from hfb.fitting.front_choice import FitLoss, front_log_odds, loss_log_ratio, shipped_front_weights
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.fronts import find_other_front, mirrored_in_depth
 from hfb.initialization.initializer import make_initializer
@@ -102,7 +102,16 @@ def test_evidence_adds_up(kind: str) -> None:
     assert base >= 0  # without evidence the start stays as found
     assert front_log_odds(0.1, 0.0, [kind]) - base == pytest.approx(base - front_log_odds(-0.1, 0.0, [kind]))
     assert front_log_odds(0.1, 0.2, [kind]) > front_log_odds(0.1, 0.0, [kind]) > base
-    assert front_log_odds(50.0, 0.0, [kind]) == front_log_odds(5.0, 0.0, [kind])  # how badly a fit failed says no more
     mixed = front_log_odds(-0.2, 0.0, [kind, "matte"])
     assert mixed == pytest.approx((front_log_odds(-0.2, 0.0, [kind]) + front_log_odds(-0.2, 0.0, ["matte"])) / 2)
     assert shipped_front_weights("network").loss > 0
+
+
+def test_losses_count_by_their_ratio_where_a_fit_explains_its_frames() -> None:
+    good, worse, failed = FitLoss(1.2, 0.04), FitLoss(1.8, 0.06), FitLoss(40.0, 0.5)
+    assert loss_log_ratio(good, worse) == pytest.approx(np.log(1.5)) == -loss_log_ratio(worse, good)
+    # how badly a fit failed says no more
+    assert loss_log_ratio(good, failed) == loss_log_ratio(good, FitLoss(400.0, 0.9)) > loss_log_ratio(good, worse)
+    # both miss the mattes, as where a shadow is part of them
+    assert loss_log_ratio(FitLoss(6.4, 0.116), FitLoss(8.2, 0.118)) == 0
+    assert loss_log_ratio(FitLoss(0.0, 0.0), FitLoss(0.0, 0.0)) == 0

@@ -24,7 +24,7 @@ from hfb.errors import InputError
 from hfb.evaluation.judge import judge
 from hfb.evaluation.prediction import Prediction
 from hfb.fitting.fit import fit
-from hfb.fitting.front_choice import LARGEST_DIFFERENCE, FrontChoice
+from hfb.fitting.front_choice import FrontChoice
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.fronts import find_other_front
 from hfb.io.atomic import write_bytes_atomic
@@ -48,13 +48,13 @@ class Pair:
     """Both fits of one case.
 
     Attributes:
-        loss_difference: of the fit from the mirrored bodies, less that from the bodies as found.
+        loss_ratio: see `hfb.fitting.front_choice.loss_log_ratio`.
         doubt: see `hfb.initialization.fronts.front_doubts`.
         found_mm: MPJPE of the fit from the bodies as found.
         mirrored_mm: MPJPE of the other.
     """
 
-    loss_difference: float
+    loss_ratio: float
     doubt: float
     found_mm: float
     mirrored_mm: float
@@ -163,7 +163,7 @@ def pairs_of(folders: Sequence[Path], every: int) -> Iterator[Pair]:
                 judge(Prediction(motion, None, None, 0.0), seen, truth, body, None)["mpjpe_mm"] for motion in motions
             )
             print(f"{place}: {_told(front, found, mirrored)}", file=sys.stderr)
-            yield Pair(front.loss_difference, front.doubt, found, mirrored)
+            yield Pair(front.loss_ratio, front.doubt, found, mirrored)
 
 
 def _observation(case: Case, looked: Path) -> Observation:
@@ -184,11 +184,11 @@ def _observation(case: Case, looked: Path) -> Observation:
 
 
 def _evidence(pair: Pair) -> tuple[float, float]:
-    return float(np.clip(pair.loss_difference, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)), pair.doubt
+    return pair.loss_ratio, pair.doubt
 
 
 def _told(front: FrontChoice, found_mm: float, mirrored_mm: float) -> str:
     return (
-        f"doubt {front.doubt:.2f}, loss {front.loss_difference:+.3f}, "
+        f"doubt {front.doubt:.2f}, loss {front.loss_ratio:+.3f}, "
         f"as found {found_mm:.0f} mm, mirrored {mirrored_mm:.0f} mm"
     )
