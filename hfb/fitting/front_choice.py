@@ -26,7 +26,7 @@ from hfb.typing import Array, Float
 LARGEST_RATIO = 0.7
 """Largest logarithm of two losses that counts: beyond it one fit has failed, and how badly does not matter."""
 _LARGEST_MATTE_LOSS = 0.085
-"""Of a fit that explains its frames: good fits of real images reach 0.07, walks whose matte holds shade 0.09 to 0.12."""
+"""Of a fit that explains its frames: good fits of real images reach 0.07, walks with shade in the matte 0.09 and more."""
 
 
 @dataclass(frozen=True)
