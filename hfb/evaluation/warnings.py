@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from hfb.config import Record
+from hfb.fitting.front_choice import ANOTHER_FRONT_DEG
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.plate import constant_changes
 from hfb.matting.matting_protocol import shrink
@@ -53,7 +54,7 @@ class ResultWarning(Record):
     message: str
 
 
-_SURE_FRONT, _ANOTHER_FRONT_DEG = 0.8, 60.0
+_SURE_FRONT = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +154,7 @@ def check_front(probability: Mapping[int, float], turn_deg: Mapping[int, float])
     low = {
         frame: value
         for frame, value in sorted(probability.items())
-        if value < _SURE_FRONT and turn_deg[frame] > _ANOTHER_FRONT_DEG
+        if value < _SURE_FRONT and turn_deg[frame] > ANOTHER_FRONT_DEG
     }
     if not low:
         return None
@@ -162,8 +163,8 @@ def check_front(probability: Mapping[int, float], turn_deg: Mapping[int, float])
         "front",
         worst,
         low,
-        f"which way the person faces is unsure ({worst:.0%} for the way shown) in {_frames(low)}: give a better start "
-        "(`hfb models fetch`, or another system's result with --init FILE), or a frame with less blur",
+        f"which way the person faces is unsure ({100 * worst:.0f} % for the way shown) in {_frames(low)}: give a "
+        "better start (`hfb models fetch`, or another system's result with --init FILE), or a frame with less blur",
     )
 
 

@@ -26,7 +26,10 @@ from hfb.typing import Array, Float
 LARGEST_RATIO = 0.7
 """Largest logarithm of two losses that counts: beyond it one fit has failed, and how badly does not matter."""
 _LARGEST_MATTE_LOSS = 0.085
-"""Of a fit that explains its frames: good fits of real images reach 0.07, walks with shade in the matte 0.09 and more."""
+"""Of a fit that explains its frames: good fits of real images reach 0.07, walks with shade in the matte 0.09 to 0.12
+(`docs/experiments/2026-11.md`, both fronts)."""
+ANOTHER_FRONT_DEG = 60.0
+"""Angle between both fits' chests from which on the other one faces another way."""
 
 
 @dataclass(frozen=True)

@@ -167,6 +167,17 @@ def test_the_condition_of_odds_is_said_beside_them() -> None:
         assert "UNKNOWN" in unknown_sentences(motion, BODY, facts | {"confidence": damaged})
 
 
+def test_a_front_that_was_in_doubt_is_said_to_be() -> None:
+    motion = motion_of(BODY)
+
+    def said(front: object) -> str:
+        return " ".join(unknown_sentences(motion, BODY, {"front": front}))
+
+    assert "both ways were fitted: 89 % for the way shown" in said({"probability": 0.886, "turn_deg": 92.3})
+    for other in (None, {"probability": 0.886, "turn_deg": 20.0}, {"probability": "x", "turn_deg": 92}, {}, [1], "x"):
+        assert "faces" not in said(other)  # seen from the side, or damaged
+
+
 def test_what_told_the_direction_is_shown_where_it_counted() -> None:
     found = weighed(motion_of(BODY))  # three frames: what they say of time is in their loss
     scores = found.scores | {"path": np.full(3, 0.1234), "network_backwards": np.array([0.53, 0.6, 0.88])}

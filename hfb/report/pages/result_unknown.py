@@ -11,6 +11,7 @@ from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
+from hfb.fitting.front_choice import ANOTHER_FRONT_DEG
 from hfb.motion.sampled import SampledMotion
 from hfb.report.pages.viewer import ViewedMotion
 from hfb.typing import Array
@@ -42,7 +43,18 @@ def unknown_sentences(motion: SampledMotion, body: Body | None, facts: Mapping[s
     if isinstance(facts.get("unknown"), str):
         said = [str(facts["unknown"]), *_condition(facts, "directions")]
     height = _size_said(motion, body, _told_height(facts))
-    return [*said, *_joints_said(motion, facts), *_frames_said(facts), height]
+    return [*said, *_front_said(facts), *_joints_said(motion, facts), *_frames_said(facts), height]
+
+
+def _front_said(facts: Mapping[str, Any]) -> list[str]:
+    """Return a sentence on the way the person faces, where both ways were fitted and differ."""
+    match facts.get("front"):
+        case {"probability": int() | float() as sure, "turn_deg": int() | float() as turn} if turn > ANOTHER_FRONT_DEG:
+            said = (
+                f"Which way the person faces was in doubt; both ways were fitted: {100 * sure:.0f} % for the way shown."
+            )
+            return [f"{said} The viewer above has the other one, too."]
+    return []
 
 
 def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]] | None:
