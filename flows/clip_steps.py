@@ -171,6 +171,8 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
             alone=alone,
             config=config.matting,
             network=inputs.matting,
+            init=config.init,
+            networks=inputs.networks,
             folder=folder,
         )
         for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))

@@ -103,7 +103,15 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             progress.say(f"hfb: {exposures}")
         numbers, body = range(len(scene.frames)), inputs.body
         mattes = tuple(
-            matte(clip=scene, index=index, config=config.matting, folder=folder, network=inputs.matting)
+            matte(
+                clip=scene,
+                index=index,
+                config=config.matting,
+                init=config.init,
+                networks=inputs.networks,
+                folder=folder,
+                network=inputs.matting,
+            )
             for index in numbers
         )
         firsts = _first_bodies(scene, mattes, inputs=inputs, config=config, folder=folder)

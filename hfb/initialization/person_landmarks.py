@@ -128,7 +128,7 @@ def draw_stick_figure(pixels: Float[Array, "33 2"], shape: tuple[int, int]) -> S
     at = {name: pixels[index] for name, index in LANDMARK.items()}
     shoulders = (at["left_shoulder"] + at["right_shoulder"]) / 2
     hips = (at["left_hip"] + at["right_hip"]) / 2
-    trunk = max(float(np.hypot(*(shoulders - hips))), 0.6 * float(np.hypot(*(at["left_hip"] - at["left_knee"]))), 2.0)
+    trunk = trunk_length(pixels)
     for start, end, radius in _LIMBS:
         _line(figure, at[start], at[end], 2 * radius * trunk)
     outline = [at[n] for n in ("left_shoulder", "right_shoulder", "right_hip", "left_hip")]
@@ -138,6 +138,17 @@ def draw_stick_figure(pixels: Float[Array, "33 2"], shape: tuple[int, int]) -> S
     _line(figure, shoulders, head, 0.22 * trunk)
     _line(figure, head, head + 0.1 * (head - shoulders), 0.42 * trunk)
     return figure
+
+
+def trunk_length(pixels: Float[Array, "33 2"]) -> float:
+    """Return the length of a person's trunk in the image [px], or what a thigh says where it is foreshortened.
+
+    Args:
+        pixels: places of the landmarks [px].
+    """
+    at = {name: pixels[index] for name, index in LANDMARK.items()}
+    along = at["left_shoulder"] + at["right_shoulder"] - at["left_hip"] - at["right_hip"]
+    return max(float(np.hypot(*along)) / 2, 0.6 * float(np.hypot(*(at["left_hip"] - at["left_knee"]))), 2.0)
 
 
 def _line(figure: Shaped[Array, "h w"], start: Float[Array, "2"], end: Float[Array, "2"], thickness: float) -> None:

@@ -138,20 +138,21 @@ def texture_evidence(
 
 
 def shadow_evidence(
-    frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], noise: Float[Array, "H W 3"]
+    frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], noise: Float[Array, "H W 3"], darkest: float = 0.45
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-    """Explain each pixel as a shadow `k B` with 0.45 <= k <= 1.1.
+    """Explain each pixel as a shadow `k B` with `darkest` <= k <= 1.1.
 
     Args:
         frame: linear light.
         plate: linear light, in the frame's exposure.
         noise: standard deviation of `frame - plate`, linear light.
+        darkest: least share of the plate's light.
 
     Returns:
         the squared misfit in variances of the noise, and how far k is from 1.
     """
     i, b = frame / noise, plate / noise
-    share = np.clip(dot(i, b) / np.maximum(dot(b, b), 1e-6), 0.45, 1.1)
+    share = np.clip(dot(i, b) / np.maximum(dot(b, b), 1e-6), darkest, 1.1)
     rest = i - share[..., None] * b
     misfit = cv2.GaussianBlur(dot(rest, rest), (0, 0), 1.0)
     return misfit, np.abs(cv2.GaussianBlur(share, (0, 0), 1.0) - 1)

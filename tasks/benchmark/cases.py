@@ -190,7 +190,10 @@ def see_case(call: SeeCall) -> ReadyHandle:
         exposure=ExposureConfig(),
     )
     folder.mkdir(parents=True, exist_ok=True)
-    mattes = tuple(matte.fn(clip=clip, index=index, config=call.matting, folder=folder) for index in range(case.frames))
+    mattes = tuple(
+        matte.fn(clip=clip, index=index, config=call.matting, init=call.init, networks=call.networks, folder=folder)
+        for index in range(case.frames)
+    )
     starts = _starts(call, case, clip, mattes, folder=folder)
     scores = judge_start(
         [load_first_body(one.path) for one in starts],

@@ -2,18 +2,24 @@
 
 from pathlib import Path
 
-from hfb.config import MattingConfig
+from hfb.config import InitConfig, MattingConfig
 from hfb.io.media.images.image_io import write_matte
-from hfb.matting.methods import make_matting
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import load_image
-from hfb.tasks.inputs.given_networks import with_matting_network
+from hfb.tasks.inputs.given_networks import person_matting
 from hfb.tasks.task import task
 
 
 @task("matte")
 def matte(
-    *, clip: ClipHandle, index: int, config: MattingConfig, folder: Path, network: FileHandle | None = None
+    *,
+    clip: ClipHandle,
+    index: int,
+    config: MattingConfig,
+    init: InitConfig,
+    networks: tuple[FileHandle, ...],
+    folder: Path,
+    network: FileHandle | None = None,
 ) -> FileHandle:
     """Estimate the matte of one frame, as a 16-bit image.
 
@@ -21,14 +27,16 @@ def matte(
         clip: all frames.
         index: of the frame.
         config: options of the matte.
+        init: options of the first body, which name the pose networks that tell the person from shade on the floor.
+        networks: the installed pose networks.
         folder: where the matte goes.
         network: the user's own, for methods that need one.
 
     Raises:
-        InputError: nothing differs from the background.
+        InputError: nothing differs from the background, or this machine has other pose networks.
     """
     frame, plate = load_image(clip.frames[index], clip), load_image(clip.background, clip)
-    alpha = make_matting(with_matting_network(config, network))(frame.numpy(), plate.numpy())
+    alpha = person_matting(config, network, init, networks)(frame.numpy(), plate.numpy())
     path = folder / f"matte_{index}.png"
     write_matte(path, alpha)
     return FileHandle.of(path)

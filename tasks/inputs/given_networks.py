@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hfb.config import InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
@@ -12,6 +13,9 @@ from hfb.networks.mediapipe_files import LANDMARK_FULL, networks_in_use
 from hfb.networks.network_files import check_network_file
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.telemetry import progress
+
+if TYPE_CHECKING:
+    from hfb.matting.matting_protocol import Matting
 
 _OWN_MATTING = ("bgmv2", "rvm")
 
@@ -77,6 +81,30 @@ def with_matting_network(config: MattingConfig, file: FileHandle | None) -> Matt
         file: the network; None for methods without one.
     """
     return config if file is None else config.model_copy(update={"weights": file.path})
+
+
+def person_matting(
+    config: MattingConfig, own: FileHandle | None, init: InitConfig, networks: tuple[FileHandle, ...]
+) -> Matting:
+    """Return the method of matting, without shade on the floor where pose networks can tell it.
+
+    Args:
+        config: options of the mattes.
+        own: the user's matting network; None for methods without one.
+        init: options of the first bodies.
+        networks: the pose networks of the calling machine.
+
+    Raises:
+        InputError: as `check_networks`.
+    """
+    from hfb.initialization.floor_shade import without_shade
+    from hfb.matting.methods import make_matting
+
+    matting = make_matting(with_matting_network(config, own))
+    if not networks:
+        return matting
+    check_networks(init, networks)
+    return without_shade(matting, init)
 
 
 def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> InitConfig:

@@ -9,7 +9,7 @@ from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
 from hfb.tasks.core.handles import Call, FileHandle, FirstBodyHandle, FrameHandle
 from hfb.tasks.core.video_handles import BodyFound, FootageHandle, FrameCall, FramesHandle, MatteHandle, SeenFrameCall
-from hfb.tasks.inputs.given_networks import check_networks, with_matting_network, with_pose_network
+from hfb.tasks.inputs.given_networks import check_networks, person_matting, with_pose_network
 from hfb.tasks.task import task
 from hfb.typing import Array
 
@@ -35,12 +35,16 @@ class MatteCall(FrameCall):
         alone: whether the person is the only one in the clip.
         config: options of the matte.
         network: the user's own, for methods that need one.
+        init: options of the first body, which name the pose networks that tell the person from shade on the floor.
+        networks: the installed pose networks.
     """
 
     box: tuple[float, float, float, float]
     alone: bool
     config: MattingConfig
     network: FileHandle | None
+    init: InitConfig
+    networks: tuple[FileHandle, ...]
 
 
 class KeyBodyCall(SeenFrameCall):
@@ -105,16 +109,16 @@ def find_matte(call: MatteCall) -> MatteHandle:
     import numpy as np
 
     from hfb.io.media.images.image_io import write_matte
-    from hfb.matting.methods import make_matting
     from hfb.tasks.core.scene import load_image
     from hfb.tracking.tracks import keep_person, surroundings
 
+    matting = person_matting(call.config, call.network, call.init, call.networks)
     frame, plate = (load_image(one, call.still).numpy() for one in (call.still.frames[0], call.still.background))
     # A matte is of the largest thing that differs, which may be somebody else: each is then looked at alone.
     near = np.s_[:, :] if call.alone else surroundings(np.asarray(call.box), *frame.shape[:2])
     alpha = np.zeros(frame.shape[:2], np.float32)
     try:
-        alpha[near] = make_matting(with_matting_network(call.config, call.network))(frame[near], plate[near])
+        alpha[near] = matting(frame[near], plate[near])
         alpha = keep_person(alpha, np.asarray(call.box))
     except InputError as error:
         return MatteHandle(file=None, reason=str(error))

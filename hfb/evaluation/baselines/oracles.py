@@ -9,7 +9,7 @@ import torch
 
 from hfb.body.height import height_m
 from hfb.body.model import Body
-from hfb.config import MattingConfig
+from hfb.config import InitConfig, MattingConfig
 from hfb.datasets.case import Case
 from hfb.datasets.simulated_start import simulated_starts
 from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES, load_sharp
@@ -24,6 +24,7 @@ from hfb.evaluation.baselines.static import Static
 from hfb.evaluation.baselines.true_bodies import bodies_on_joints, true_bodies
 from hfb.evaluation.prediction import Prediction
 from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.initialization.floor_shade import without_shade
 from hfb.initialization.fronts import mirrored_in_depth
 from hfb.initialization.initializer import Initializer
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb
@@ -196,7 +197,7 @@ class SharpMiddle:
             )
         linear = observation.light == "linear"
         plate = observation.plate_linear if linear else srgb_to_linear(observation.plate_linear)
-        matting = make_matting(MattingConfig())
+        matting = without_shade(make_matting(MattingConfig()), InitConfig())
         found = []
         with one_torch_thread():
             for path in case.middle_paths():
