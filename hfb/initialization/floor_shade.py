@@ -25,6 +25,8 @@ _SIZE_PX = 640
 _MARGIN = 0.1
 _TOLERANCE = 12.0
 """Squared misfit, in variances of the noise, at which a pixel is no longer shade."""
+_UNLIKELY, _LIKELY = 0.2, 0.5
+"""Likelihoods of shade from which a pixel on the floor is part of it, and is nothing else."""
 _SUSPECTED, _LOWER = 0.05, 0.4
 """Share of the matte that may be shade, in so much of its box: landmarks are looked for from here on."""
 _DARKEST = 0.15
@@ -33,7 +35,7 @@ _LEAST_AGREEMENT = 0.35
 _BESIDE, _ABOVE = (0.1, 0.2), (0.3, 0.2)
 """Of a trunk's length: distances from the figure between which pixels become floor; and how far above the lowest
 landmark of the feet the floor fades out, and over which distance."""
-_PIECE = 0.1
+_PIECE = 0.25
 """Alpha from which pixels hang together."""
 _GAPS = 0.15
 """Width of gaps in the shade that are floor, too, of a trunk's length: seams, and where it is darkest."""
@@ -123,7 +125,8 @@ def without_floor_shade(
     rows = np.arange(matte.shape[0])[:, None] + 0.5
     low = np.clip(((rows - landmarks_px[_FEET, 1].max()) / trunk + _ABOVE[0]) / _ABOVE[1], 0, 1)
     width = 2 * max(1, round(_GAPS * trunk / 2)) + 1
-    whole = cv2.morphologyEx(shade, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)))
+    sure = np.clip((shade - _UNLIKELY) / (_LIKELY - _UNLIKELY), 0, 1)
+    whole = cv2.morphologyEx(sure, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)))
     left = matte * (1 - whole * apart * low)
     # What hangs together with the figure is the person; anything else there is haze, or the floor's mirror image.
     _, pieces = cv2.connectedComponents((left > _PIECE).astype(np.uint8))

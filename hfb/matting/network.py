@@ -52,10 +52,14 @@ class NetworkMatting:
     Args:
         network: the first network; None for the shipped one.
         second: the second network; None for the shipped one.
+        blurred: whether a moving layer explains uncertain pixels, which takes half of the time.
     """
 
-    def __init__(self, network: MatteNetwork | None = None, second: MatteNetwork | None = None) -> None:
+    def __init__(
+        self, network: MatteNetwork | None = None, second: MatteNetwork | None = None, blurred: bool = True
+    ) -> None:
         """Load the shipped weights, or take other networks."""
+        self._blurred = blurred
         self._network = shipped_network() if network is None else network.eval()
         self._second = shipped_second() if second is None else second.eval()
 
@@ -82,7 +86,9 @@ class NetworkMatting:
         size = crops[0][0].shape[1::-1]
         seen = [cv2.resize(look, size, interpolation=cv2.INTER_AREA) for look in looks]
         alpha, doubt = np.mean(seen, axis=0).transpose(2, 0, 1)
-        alpha = explained_matte(crops[0][0], crops[0][1], clean(alpha), doubt)
+        alpha = clean(alpha)
+        if self._blurred:
+            alpha = explained_matte(crops[0][0], crops[0][1], alpha, doubt)
         matte = np.zeros((height, width), np.float32)
         matte[inner] = cv2.resize(alpha, (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
         if matte.sum() < LEAST_SHARE * matte.size:

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from hfb.config import MattingConfig
 from hfb.datasets.real.shutter import Shutter
 from hfb.datasets.real.view import Box, View
 from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES
 from hfb.errors import InputError
-from hfb.matting.methods import make_matting
+from hfb.matting.network import NetworkMatting
 from hfb.typing import Array, Bool, Float
 
 _USUAL_AREA = (0.6, 1.6)  # of the window's median: a mask outside is a matte that failed, not a moving person
@@ -70,7 +69,7 @@ def expose(
     Raises:
         InputError: a frame cannot be read or shows nobody.
     """
-    matting = make_matting(MattingConfig())
+    matting = NetworkMatting(blurred=False)
     frames = view.footage.stored_frames(first, first + shutter.frames * shutter.average)
     done = []
     for window in range(shutter.frames):
