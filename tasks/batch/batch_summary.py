@@ -16,7 +16,7 @@ from hfb.errors import InputError
 from hfb.interop.writers.export_names import REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.names import shown_name
-from hfb.io.safe_folder import check_ordinary, read_file
+from hfb.io.safe_folder import read_file
 from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.batch.batch_ledger import set_aside
 from hfb.tasks.telemetry import progress
@@ -119,7 +119,6 @@ class BatchSummary:
         facts: Mapping[str, Any] = {}
         try:
             facts = read_facts(folder / RESULT, self._out)  # the folder may be from somebody else
-            check_ordinary(self._out, *Path(name).parts, _STRIP)
             people = tuple(self._people(name, facts))
             return BatchClip(
                 shown, status, reason, facts, self._thumbnail(name, folder), link, self._report_in(folder), people
@@ -140,7 +139,6 @@ class BatchSummary:
                 yield BatchClip(one["name"], "no motion", one["error"], one)
                 continue
             folder = self._out / person
-            check_ordinary(self._out, *Path(person).parts, _STRIP)
             yield BatchClip(
                 one["name"], "done", "", one, self._thumbnail(person, folder), report=self._report_in(folder)
             )

@@ -44,7 +44,7 @@ def upright(
         raise InputError(f"{path}: a frame is damaged; cut the video before it, or convert it to H.264.") from None
     pixels = pixels[crop[0] : frame.height - crop[1], crop[2] : frame.width - crop[3]]
     if aspect != 1:
-        height, width = square_size(*pixels.shape[:2], aspect)
+        height, width = square_size(pixels.shape[0], pixels.shape[1], aspect)
         check_size(path, width, height)
         pixels = stretched(pixels, height, width)
     return np.ascontiguousarray(_as_shown(pixels, frame))
