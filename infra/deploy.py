@@ -60,7 +60,8 @@ def main() -> None:
     with get_client(sync_client=True) as client:
         _wait_for(client)
         for deployment in yaml.safe_load(_FILE.read_text())["deployments"]:
-            _refuse_secrets(f"deployment {deployment['name']}", deployment.get("parameters") or {})
+            row = anyio.run(resolve_variables, deployment | (deployment.pop("parameters", None) or {}))
+            _refuse_secrets(f"deployment {row['name']}", apply_values(row, os.environ, remove_notset=False))
         _make_pool(client, os.environ["HFB_POOL"], os.environ.get("HFB_POOL_TYPE", "process"))
         _limit_gpus(client, os.environ["HFB_POOL"], int(os.environ.get("HFB_GPUS", "1")))
         end_dead_runs(client, int(os.environ[_BEAT]))
@@ -82,10 +83,9 @@ def _wait_for(client: SyncPrefectClient) -> None:
 
 
 def _refuse_secrets(place: str, given: dict[str, Any]) -> None:
-    """Prefect fills in what is referred to, secret blocks too, then stores it and shows it to every member."""
+    """Prefect stores what is given here and shows it to every member, the content of secret blocks too."""
     named = next((name for name, value in given.items() if "prefect.blocks." in str(value)), None)
-    filled = apply_values(anyio.run(resolve_variables, given), os.environ, remove_notset=False)
-    if name := named or secret_entry(filled):
+    if name := named or secret_entry(given):
         sys.exit(
             f"{place}: {name} holds a secret, which Prefect would store and show: leave it out, and put it into the "
             "environment of the workers (infra/settings)"

@@ -54,7 +54,7 @@ def deploy(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
     def put(name: str, parameters: dict[str, Any], **settings: str) -> None:
         row = {"name": name, "entrypoint": "hfb.flows.deployed.batch", "parameters": parameters}
         content = {**yaml.safe_load((_INFRA / "prefect.yaml").read_text()), "deployments": [row]}
-        row["work_pool"] = {"name": name}
+        row |= {"work_pool": {"name": name}, "schedules": parameters.pop("schedules", [])}
         (tmp_path / "prefect.yaml").write_text(yaml.safe_dump(content))
         for setting, value in {"HFB_POOL": name, "HFB_DATA": str(tmp_path), **settings}.items():
             monkeypatch.setenv(setting, value)
@@ -69,6 +69,7 @@ _GIVEN: dict[str, Any] = {
     "called so": {"options": {"init": {"api_key": _SECRET}}},
     "variable of the environment": {"store": "{{ $STORE_OF_MINE }}"},
     "secret of the environment": {"folder": "{{ $STORE_TOKEN }}"},
+    "schedule": {"schedules": [{"interval": 300, "slug": "often", "parameters": {"store": _STORE}}]},
     "block": {"workers": "{{ prefect.blocks.secret.hfb-test-secret }}"},
     "variable of Prefect": {"workers": "dask:{{ prefect.variables.hfb_test_variable }}"},
 }
