@@ -9,12 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
-
 from hfb.config import RunConfig
 from hfb.errors import InfrastructureError, InputError, ServerLost, TemporaryError
 from hfb.flows.everyone import run_clip
-from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
+from hfb.flows.runtime.reaper import end_abandoned_flow_runs
+from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.flows.runtime.workspace import workspace
 from hfb.interop.writers.export_names import RESULT
 from hfb.io.names import shown_name
@@ -39,7 +38,7 @@ _THUMBNAILS = "thumbnails"  # among the intermediate files: no clip has a folder
 _log = logging.getLogger(__name__)
 
 
-@flow(name="batch", persist_result=False, validate_parameters=False, on_running=[mark_owner])
+@recorded_flow("batch", validate_parameters=False)
 def batch(
     folder: Path | str,
     out: Path | str,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import InitConfig, MattingConfig, Record
@@ -14,7 +13,7 @@ from hfb.datasets.real.real_spec import RealSpec
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.evaluation.experiments import Experiment
-from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import REPORT
 from hfb.io.safe_folder import check_tree
@@ -71,7 +70,7 @@ def run_benchmark(
         experiment: the paper's table to compare with.
     """
     with workers(engine):
-        return _benchmark.with_options(task_runner=_threads())(plan, out, experiment)
+        return recorded_flow("benchmark", task_runner=_threads())(_benchmark)(plan, out, experiment)
 
 
 def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> dict[str, Any]:
@@ -84,7 +83,7 @@ def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> di
         engine: where computations run.
     """
     with workers(engine):
-        return _synthesis.with_options(task_runner=_threads())(spec, count, out)
+        return recorded_flow("synthesis", task_runner=_threads())(_synthesis)(spec, count, out)
 
 
 def _threads() -> Any:  # Prefect's own types do not take its own runner
@@ -92,7 +91,6 @@ def _threads() -> Any:  # Prefect's own types do not take its own runner
     return ThreadPoolTaskRunner(max_workers=worker_count())
 
 
-@flow(name="synthesis", persist_result=False, on_running=[mark_owner])
 def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
     """Write the cases of a set, ``out/case_0001`` and so on.
 
@@ -119,7 +117,6 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
     return result
 
 
-@flow(name="benchmark", persist_result=False, on_running=[mark_owner])
 def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = None) -> dict[str, Any]:
     """Make cases, estimate mattes and starts, run methods, tabulate; recorded in MLflow, published in ``out``.
 

@@ -12,7 +12,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from prefect import flow
 from pydantic import Field
 
 from hfb.config import RunConfig, preset
@@ -23,7 +22,8 @@ from hfb.flows.cli import judging
 from hfb.flows.everyone import run_clip
 from hfb.flows.runtime import places
 from hfb.flows.runtime.failures import explain_failures
-from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
+from hfb.flows.runtime.reaper import end_abandoned_flow_runs
+from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.flows.runtime.workspace import check_writable
 from hfb.flows.train_prior import TrainingPlan
 from hfb.io.clip import BACKGROUND_WORDS
@@ -57,7 +57,7 @@ class Options(RunConfig):
 _BEST = Options()
 
 
-@flow(name="fit", persist_result=False, on_running=[mark_owner])
+@recorded_flow("fit")
 def fit(
     frames: Annotated[list[Path], Field(min_length=1)],
     background: Path,
@@ -87,7 +87,7 @@ def fit(
         return fit_image.fit_image.fn(frames, background, out, config, clip=clip)
 
 
-@flow(name="clip", persist_result=False, on_running=[mark_owner])
+@recorded_flow("clip")
 def video(
     source: Path,
     out: Path,
@@ -125,7 +125,7 @@ def video(
         return run_clip(inputs, out, config, engine_of(workers, store))
 
 
-@flow(name="batch", persist_result=False, on_running=[mark_owner])
+@recorded_flow("batch")
 def batch(
     folder: Path,
     out: Path,
@@ -164,7 +164,7 @@ def batch(
             )
 
 
-@flow(name="methods", persist_result=False, on_running=[mark_owner])
+@recorded_flow("methods")
 def benchmark(
     out: Path,
     *,
@@ -238,7 +238,7 @@ def benchmark(
         return run_benchmark(plan, out, engine_of(workers, store))
 
 
-@flow(name="train-prior", persist_result=False, on_running=[mark_owner])
+@recorded_flow("train-prior")
 def train(plan: TrainingPlan, out: Path) -> dict[str, Any]:
     """Train a prior of motions or poses from motion capture, as `hfb train-prior`. A repeated run continues.
 

@@ -7,11 +7,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
-
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError
-from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.flows.runtime.workspace import mark_unfinished, publish, workspace
 from hfb.flows.video import clip_place, run_video
 from hfb.io.safe_folder import check_ordinary
@@ -109,7 +107,7 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
         return find_everyone(footage, plate, inputs.track).people
 
     with clip_place(out, 1) as folder:
-        return flow(name="everyone", persist_result=False, on_running=[mark_owner])(everyone)(str(inputs.video[0].path))
+        return recorded_flow("everyone")(everyone)(str(inputs.video[0].path))
 
 
 def _motion_of(

@@ -59,8 +59,8 @@ def export_result(
     with resolve_result(source, (TEXTURE, RESULT)) as place:
         motion, space = load_motion(place.motion)
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
-        model = load_fitted_body(motion, space, body or find_named_body(place.folder / RESULT)) if surface else None
-        texture = stored_png(place.folder / TEXTURE) if (place.folder / TEXTURE).exists() else None
+        model = load_fitted_body(motion, space, body or find_named_body(place.files / RESULT)) if surface else None
+        texture = stored_png(place.files / TEXTURE) if (place.files / TEXTURE).exists() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or place.new_folder("export", place.folder / _FOLDER)
         if out is None and place.fetched is None:
@@ -93,7 +93,7 @@ def _draw_films(
     from hfb.tasks.results.reload_inputs import reload_shot
 
     assert exported.body is not None
-    texture = place.folder / TEXTURE
+    texture = place.files / TEXTURE
     if not texture.is_file():
         raise InputError(f"films need {TEXTURE}, which {place.name} lacks: give a result's folder, or a run's id")
     with ExitStack() as stack:

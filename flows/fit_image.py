@@ -7,15 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
-
 from hfb.config import RunConfig
 from hfb.datasets.example import write_example
 from hfb.evaluation.warnings import ResultWarning, check_front
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.fitting.direction_trust import direction_condition
-from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.io.safe_folder import check_tree
@@ -42,7 +40,7 @@ from hfb.tasks.video.external_poses import Look, body_of_result, read_result, re
 from hfb.tasks.video.video_windows import mend_fronts
 
 
-@flow(name="fit-image", persist_result=False, on_running=[mark_owner])
+@recorded_flow("fit-image")
 def fit_image(
     frames: list[Path],
     background: Path,
@@ -75,7 +73,7 @@ def fit_image(
     )
 
 
-@flow(name="fit-image-again", persist_result=False, on_running=[mark_owner])
+@recorded_flow("fit-image-again")
 def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     """Run `fit_image` on inputs taken before, such as those of a recorded run.
 

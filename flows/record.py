@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.footage_names import natural_order
 from hfb.tasks.results.stored_runs import find_run, result_facts
 from hfb.tasks.telemetry import progress
-from hfb.tasks.tracking.run_record import RunHandle, check_recorded_files, read_kept, write_run
+from hfb.tasks.tracking.run_record import RunHandle, copy_recorded_files, read_kept, write_run
 from hfb.tasks.tracking.tracking import StoreLost
 
 
@@ -54,9 +55,9 @@ def _record(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
             raise InputError(f"{folder} has no {RECORD} to be recorded from: run its own command again")
         run = find_run(str(folder))
         return {"out": out, "mlflow_run_id": run.run_id, "mlflow_link": run.link, "new": False}
-    with workspace(folder):
+    with workspace(folder), tempfile.TemporaryDirectory() as private:
         record = read_kept(folder)
-        paths = check_recorded_files(record, folder)
+        paths = copy_recorded_files(record, folder, Path(private))
         with progress.step("record in MLflow"):
             try:
                 run_handle = write_run(record, paths)

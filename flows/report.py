@@ -50,9 +50,9 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         run = place.fetched or _run_of(place.folder)
         folder = out or place.new_folder("report", place.folder)
         check_writable(folder)
-        facts = _facts(place.folder / RESULT)
+        facts = _facts(place.files / RESULT)
         motion, space = load_motion(place.motion)
-        model = _model(motion, space, body or find_named_body(place.folder / RESULT))
+        model = _model(motion, space, body or find_named_body(place.files / RESULT))
         film = _film(place, run, model, inputs=inputs, made=Path(made))
         parts = _parts(place, film, Path(made))
         tags = run.tags if run else {}
@@ -92,7 +92,7 @@ def _model(motion: Any, space: str, path: Path | None) -> Body | None:
 
 def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
     """Return the files that exist."""
-    folder = place.folder
+    folder = place.files
     curves, history = folder / CURVES, folder / INTERMEDIATE / _HISTORY
     if not curves.exists():
         known = {"losses": read_json(history)} if history.is_file() else {}
@@ -111,10 +111,10 @@ def _film(
     place: FoundResult, run: StoredRun | None, body: Body | None, *, inputs: Path | None, made: Path
 ) -> Path | None:
     """Return the page's film: as drawn before, drawn again from the images, or the result's own; None without any."""
-    drawn, own = place.folder / INTERMEDIATE / PAGE_FILM, place.folder / FILM_NAMES["slowmotion"]
+    drawn, own = place.files / INTERMEDIATE / PAGE_FILM, place.files / FILM_NAMES["slowmotion"]
     if drawn.is_file() and _fits_a_page(drawn) and not shows_another_motion(drawn, sha256_of(place.motion)):
         return drawn
-    if run is not None and body is not None and (place.folder / TEXTURE).is_file():
+    if run is not None and body is not None and (place.files / TEXTURE).is_file():
         try:
             return _redraw(place, run, body, inputs=inputs, made=made)
         except InputError as error:
@@ -133,7 +133,7 @@ def _redraw(place: FoundResult, run: StoredRun, body: Body, *, inputs: Path | No
 
     motion, _ = load_motion(place.motion)
     with (
-        reload_shot(run.run_id, inputs, motion=motion, body=body, texture=place.folder / TEXTURE) as shot,
+        reload_shot(run.run_id, inputs, motion=motion, body=body, texture=place.files / TEXTURE) as shot,
         progress.step("report's film"),
     ):
         return write_page_film(shot, sha256_of(place.motion), made)

@@ -7,12 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from prefect import flow
 from pydantic import Field
 
 from hfb.config import Record
 from hfb.errors import InputError
-from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.flows.runtime.workspace import workspace
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
@@ -48,7 +47,7 @@ def work_folder(out: Path) -> Path:
     return out.with_name(f"{out.stem}-training")
 
 
-@flow(name="train-prior", persist_result=False, on_running=[mark_owner])
+@recorded_flow("train-prior")
 def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
     """Train a prior, publish its weights as ``out`` with their description as .json; recorded in MLflow.
 

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import RunConfig
@@ -17,7 +16,7 @@ from hfb.fitting.confidence import radius_condition
 from hfb.flows.clip_scores import draw, score, warn
 from hfb.flows.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
 from hfb.flows.runtime.failures import ask_server, explain_failures
-from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.tasks.core.environment import code_version
@@ -64,7 +63,7 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine 
 
     with clip_place(out, engine) as folder:
         threads: Any = ThreadPoolTaskRunner(max_workers=worker_count() + _SPARE_THREADS)
-        made = flow(name="video", persist_result=False, on_running=[mark_owner], task_runner=threads)(video)
+        made = recorded_flow("video", task_runner=threads)(video)
         return made(str(inputs.video[0].path), str(out))
 
 

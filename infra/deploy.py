@@ -29,16 +29,17 @@ from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import anyio
+import yaml
 from automations import addresses_of, end_dead_runs, tell_of_crashes
 from prefect.client.orchestration import SyncPrefectClient, get_client
 from prefect.client.schemas.actions import WorkPoolCreate
 from prefect.exceptions import ObjectNotFound
-from prefect.utilities.templating import apply_values
+from prefect.utilities.templating import apply_values, resolve_variables
 from prefect.workers.utilities import get_default_base_job_template_for_infrastructure_type
 
-from hfb.tasks.telemetry.secrets import without_secrets
+from hfb.tasks.telemetry.secrets import secret_entry, without_secrets
 
-_HERE = Path(__file__).parent
+_FILE = Path(__file__).parent / "prefect.yaml"
 _BEAT = "PREFECT_FLOWS_HEARTBEAT_FREQUENCY"
 _PATIENCE_S = 180
 _BUCKET = "mlflow"
@@ -58,12 +59,15 @@ def main() -> None:
         (data / "clips").mkdir(exist_ok=True)
     with get_client(sync_client=True) as client:
         _wait_for(client)
+        for deployment in yaml.safe_load(_FILE.read_text())["deployments"]:
+            row = anyio.run(resolve_variables, deployment | (deployment.pop("parameters", None) or {}))
+            _refuse_secrets(f"deployment {row['name']}", apply_values(row, os.environ, remove_notset=False))
         _make_pool(client, os.environ["HFB_POOL"], os.environ.get("HFB_POOL_TYPE", "process"))
         _limit_gpus(client, os.environ["HFB_POOL"], int(os.environ.get("HFB_GPUS", "1")))
         end_dead_runs(client, int(os.environ[_BEAT]))
         tell_of_crashes(client, told)
     prefect = [sys.executable, "-m", "prefect", "--no-prompt"]
-    subprocess.run([*prefect, "deploy", "--prefect-file", str(_HERE / "prefect.yaml"), "--all"], check=True)
+    subprocess.run([*prefect, "deploy", "--prefect-file", str(_FILE), "--all"], check=True)
     if os.environ.get("MLFLOW_S3_ENDPOINT_URL"):
         _make_bucket(os.environ["MLFLOW_S3_ENDPOINT_URL"])
     if os.environ.get("MLFLOW_AUTH_ADMIN_PASSWORD"):
@@ -76,6 +80,16 @@ def _wait_for(client: SyncPrefectClient) -> None:
         if time.monotonic() - began > _PATIENCE_S:
             sys.exit(without_secrets(f"the Prefect server at {client.api_url} does not answer: {trouble}"))
         time.sleep(2)
+
+
+def _refuse_secrets(place: str, given: dict[str, Any]) -> None:
+    """Prefect stores what is given here and shows it to every member, the content of secret blocks too."""
+    named = next((name for name, value in given.items() if "prefect.blocks." in str(value)), None)
+    if name := named or secret_entry(given):
+        sys.exit(
+            f"{place}: {name} holds a secret, which Prefect would store and show: leave it out, and put it into the "
+            "environment of the workers (infra/settings)"
+        )
 
 
 def _make_pool(client: SyncPrefectClient, name: str, kind: str) -> None:
@@ -95,6 +109,8 @@ def _make_pool(client: SyncPrefectClient, name: str, kind: str) -> None:
 
 def _container(kind: str) -> dict[str, Any]:
     """How a container starts: image, settings (secrets come from files in it), and the folder with the clips."""
+    env = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
+    _refuse_secrets("work pool", env)
     template: dict[str, Any] | None = anyio.run(get_default_base_job_template_for_infrastructure_type, kind)
     if template is None:
         sys.exit(f"Prefect knows no work pool of type {kind}: install hfb[team]")
@@ -107,7 +123,7 @@ def _container(kind: str) -> dict[str, Any]:
     given |= {
         "image": os.environ["HFB_IMAGE"],
         "image_pull_policy": "IfNotPresent",
-        "env": {name: os.environ[name] for name in _PASSED_ON if name in os.environ},
+        "env": env,
         "command": "python -P -m hfb.flows.runtime.deployment_run",
     }
     if kind == "docker":

@@ -7,6 +7,7 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.json_file import JSON_LIMIT_BYTES, read_json
+from hfb.io.safe_folder import NotOrdinary
 
 
 def test_plain_content_is_read(tmp_path: Path) -> None:
@@ -40,6 +41,24 @@ def test_what_is_no_file_is_said_and_not_waited_for(tmp_path: Path) -> None:
     (tmp_path / "folder.json").mkdir()
     with (tmp_path / "large.json").open("wb") as file:
         file.truncate(JSON_LIMIT_BYTES + 1)
-    for name, says in (("pipe", "no file"), ("folder", "no file"), ("none", "missing"), ("large", "far more than")):
+    (tmp_path / "mine").write_text("{}")
+    (tmp_path / "link.json").symlink_to(tmp_path / "mine")
+    kinds = {
+        "pipe": "named pipe",
+        "folder": "another kind",
+        "none": "missing",
+        "large": "far more than",
+        "link": "symbolic",
+    }
+    for name, says in kinds.items():
         with pytest.raises(InputError, match=says):
             read_json(tmp_path / f"{name}.json")
+
+
+def test_a_link_above_a_file_is_followed_only_where_the_user_named_it(tmp_path: Path) -> None:
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner" / "a.json").write_text("{}")
+    (tmp_path / "link").symlink_to(tmp_path / "inner")
+    assert read_json(tmp_path / "link" / "a.json") == {}
+    with pytest.raises(NotOrdinary, match="link is a symbolic link"):
+        read_json(tmp_path / "link" / "a.json", root=tmp_path)

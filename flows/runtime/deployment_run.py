@@ -26,13 +26,15 @@ from prefect.runner._starter_engine import EngineCommandStarter
 from prefect.states import Crashed
 from prefect.utilities.processutils import command_to_string
 
+from hfb.tasks.telemetry.secrets import hidden_in, secret_entry
+
 ENTRYPOINTS = frozenset(f"hfb.flows.deployed.{name}" for name in ("fit", "video", "batch", "benchmark", "train"))
 COMMAND = "python -P -m hfb.flows.runtime.deployment_run"
 _ENGINE = command_to_string([sys.executable, "-P", "-m", "prefect.engine"])  # -P: not what lies in the current folder
 
 
 class NotOurs(RuntimeError):
-    """A flow run whose deployment is not hfb's."""
+    """A flow run that no worker starts."""
 
 
 async def entrypoint_of(flow_run: FlowRun, client: PrefectClient) -> str:
@@ -43,8 +45,14 @@ async def entrypoint_of(flow_run: FlowRun, client: PrefectClient) -> str:
         client: of Prefect's server.
 
     Raises:
-        NotOurs: it has no deployment, or one with other code or steps of its own.
+        NotOurs: it has no deployment, or one with other code or steps of its own, or a secret in its parameters.
     """
+    if (name := secret_entry(flow_run.parameters)) is not None:
+        await client.update_flow_run(flow_run.id, parameters=hidden_in(flow_run.parameters))
+        raise NotOurs(
+            f"the parameter {name} holds a secret, which Prefect stores and shows: change the secret, leave it out of "
+            "deployment and run, and put the new one into the environment of the workers"
+        )
     try:
         deployment = await client.read_deployment(flow_run.deployment_id) if flow_run.deployment_id else None
     except ObjectNotFound:

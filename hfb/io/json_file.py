@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from hfb.errors import InputError
+from hfb.io.safe_folder import read_head
 
 JSON_LIMIT_BYTES = 32 << 20
 """Python takes some twenty times as much for nested lists."""
@@ -13,27 +14,29 @@ JSON_LIMIT_BYTES = 32 << 20
 _DEEPEST = 32
 
 
-def read_json(path: Path, fix: str = "make the result again") -> Any:
+def read_json(path: Path, fix: str = "make the result again", root: Path | None = None) -> Any:
     """Read a JSON file; every number in it is finite.
 
     Args:
         path: the file.
         fix: ends the sentence of an error.
+        root: the folder below which no link is followed; by default the file's own.
 
     Raises:
-        InputError: it is missing, no plain file, too large, no JSON or nested without end.
+        InputError: it is missing, a link, no plain file, too large, no JSON or nested without end.
     """
+    root = path.parent if root is None else root
     try:
-        if not path.is_file():  # opening a pipe would block
-            raise InputError(f"{path} is {'no file' if path.exists() else 'missing'}: {fix}")
-        size = path.stat().st_size
-        if size > JSON_LIMIT_BYTES:
-            raise InputError(f"{path} has {size >> 20} MB, far more than hfb writes: {fix}")
-        content = json.loads(path.read_bytes(), parse_constant=_not_finite, parse_float=_finite)
+        data = read_head(root, *path.relative_to(root).parts, size=JSON_LIMIT_BYTES + 1)
+        if len(data) > JSON_LIMIT_BYTES:
+            raise InputError(f"{path} has over {JSON_LIMIT_BYTES >> 20} MB, far more than hfb writes: {fix}")
+        content = json.loads(data, parse_constant=_not_finite, parse_float=_finite)
         _check_depth(content)
         return content
     except InputError:
         raise
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing: {fix}") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): {fix}") from None
     except RecursionError:

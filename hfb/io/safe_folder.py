@@ -7,10 +7,12 @@ device may act when it is opened.
 
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from hfb.errors import TemporaryError
 
@@ -186,12 +188,39 @@ def read_head(root: Path, *parts: str, size: int) -> bytes:
         *parts: names of folders and of the file below ``root``.
         size: number of bytes.
     """
+    with _open_file(root, *parts) as file:
+        return file.read(size)
+
+
+def copy_file(root: Path, *parts: str, to: Path) -> Path:
+    """Copy a regular file below ``root`` for a library that opens files by path; raises as `read_file`.
+
+    Whoever may write below ``root`` could put a link in the file's place between a check and the library's opening.
+
+    Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
+        to: private folder; the copy has the same place below it.
+
+    Returns:
+        the copy.
+    """
+    copy = to.joinpath(*parts)
+    with _open_file(root, *parts) as file:
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        with copy.open("xb") as target:
+            shutil.copyfileobj(file, target)
+    return copy
+
+
+@contextmanager
+def _open_file(root: Path, *parts: str) -> Iterator[BinaryIO]:
     *folders, name = parts
     check_ordinary(root, *parts)
     with open_folder(root, *folders) as folder:
         flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         with open(_checked(root.joinpath(*parts), name, flags, folder), "rb") as file:
-            return file.read(size)
+            yield file
 
 
 def check_readable(path: Path) -> None:

@@ -20,7 +20,6 @@ from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.io.names import shown_name
-from hfb.io.safe_folder import check_ordinary
 from hfb.tasks.core.handles import digest
 
 _FOUND_AGAIN = "finished clips are found again in their folders"
@@ -62,7 +61,6 @@ class Ledger:
         self._entries: dict[str, Entry] = {}
         self.damage = ""
         try:
-            check_ordinary(path.parent, path.name)  # a link would show another file's content
             content = read_json(path, _FOUND_AGAIN) if os.path.lexists(path) else {}
         except InputError as error:
             self.damage, content = str(error), {}

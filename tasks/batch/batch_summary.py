@@ -16,7 +16,7 @@ from hfb.errors import InputError
 from hfb.interop.writers.export_names import REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.names import shown_name
-from hfb.io.safe_folder import check_ordinary
+from hfb.io.safe_folder import read_file
 from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.batch.batch_ledger import set_aside
 from hfb.tasks.telemetry import progress
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 PAGE = "summary.html"
 _STRIP = "strip.png"
+_STRIP_BYTES = 512 << 20
 _OTHER_PAGE = re.compile(r"summary-(\d+)\.html")
 _MARK = b"<title>Clips of "
 _MOST_PEOPLE = 100
@@ -117,9 +118,7 @@ class BatchSummary:
             return BatchClip(shown, status, reason, link=link)
         facts: Mapping[str, Any] = {}
         try:
-            for file in (RESULT, _STRIP):  # the folder may be from somebody else
-                check_ordinary(self._out, *Path(name).parts, file)
-            facts = read_facts(folder / RESULT)
+            facts = read_facts(folder / RESULT, self._out)  # the folder may be from somebody else
             people = tuple(self._people(name, facts))
             return BatchClip(
                 shown, status, reason, facts, self._thumbnail(name, folder), link, self._report_in(folder), people
@@ -140,7 +139,6 @@ class BatchSummary:
                 yield BatchClip(one["name"], "no motion", one["error"], one)
                 continue
             folder = self._out / person
-            check_ordinary(self._out, *Path(person).parts, _STRIP)
             yield BatchClip(
                 one["name"], "done", "", one, self._thumbnail(person, folder), report=self._report_in(folder)
             )
@@ -165,7 +163,7 @@ class BatchSummary:
         when = hashlib.sha256(repr(_stamp(strip)).encode()).hexdigest()[:16]
         place = self._thumbnails / f"{whose}-{when}.jpg"
         if not _is_thumbnail(place):
-            content = strip_thumbnail(strip)
+            content = strip_thumbnail(strip, read_file(self._out, *Path(name).parts, _STRIP, limit=_STRIP_BYTES))
             for older in self._thumbnails.glob(f"{whose}-*.jpg"):
                 older.unlink(missing_ok=True)
             write_bytes_atomic(place, content)

@@ -30,9 +30,8 @@ def read_result_content(root: Path, *parts: str) -> dict[str, Any]:
         InputError: it is missing, damaged or no result's, or it, or a folder below ``root``, is a link or a special
             file.
     """
-    check_ordinary(root, *parts, RESULT)
     path = root.joinpath(*parts, RESULT)
-    content = read_json(path)
+    content = read_json(path, root=root)
     if not isinstance(content, dict):
         raise InputError(f"{path} is not a result of hfb: give the folder of one")
     return content

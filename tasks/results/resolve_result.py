@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
-from hfb.io.safe_folder import check_readable
+from hfb.io.safe_folder import check_readable, copy_file
 from hfb.tasks.core.result_folder import check_result, read_result_content
 
 if TYPE_CHECKING:
@@ -26,12 +26,14 @@ class FoundResult:
     """A result's files; any but the motion may be missing.
 
     Attributes:
-        folder: of the files; for a run that was named by its id, only inside the block.
+        folder: of the result; for a run that was named by its id, only inside the block.
+        files: folder of copies of its files, which nobody else can replace; only inside the block.
         motion: the motion file, under any name if it was named itself.
         fetched: the run that they came from; None where a folder was named.
     """
 
     folder: Path
+    files: Path
     motion: Path
     fetched: StoredRun | None
 
@@ -57,7 +59,7 @@ class FoundResult:
 
 @contextmanager
 def resolve_result(source: str, names: Sequence[str], inner: Sequence[str] = ()) -> Iterator[FoundResult]:
-    """Provide a result inside the block; of a run its motion and the named files are fetched.
+    """Provide a result inside the block: copies of its motion and the named files, of a run as MLflow has them.
 
     Args:
         source: a result's folder, its motion file, or a run's id.
@@ -70,13 +72,11 @@ def resolve_result(source: str, names: Sequence[str], inner: Sequence[str] = ())
     """
     path = Path(source)
     if path.exists():
-        folder = path if path.is_dir() else path.parent
-        check_result(folder, [*names, *inner, *([MOTION] if path.is_dir() else [])])
-        try:
-            check_readable(path)
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror}") from None
-        yield FoundResult(folder, path / MOTION if path.is_dir() else path, None)
+        with tempfile.TemporaryDirectory() as private:
+            try:
+                yield _copied(path, Path(private), [*names, *inner])
+            except InputError as error:  # the user knows the files of the folder
+                raise type(error)(str(error).replace(private, str(_folder_of(path)))) from None
         return
     if path.suffix or len(path.parts) > 1:
         raise InputError(f"there is no {source}: give a result's folder, its {MOTION}, or a run's id")
@@ -89,7 +89,25 @@ def resolve_result(source: str, names: Sequence[str], inner: Sequence[str] = ())
             raise InputError(f"run {run.title} has no {MOTION}: only results of `hfb fit` and `hfb video` have one")
         for name in names:
             fetch_file(run, name, folder)
-        yield FoundResult(folder, folder / MOTION, run)
+        yield FoundResult(folder, folder, folder / MOTION, run)
+
+
+def _folder_of(path: Path) -> Path:
+    return path if path.is_dir() else path.parent
+
+
+def _copied(path: Path, private: Path, names: Sequence[str]) -> FoundResult:
+    folder = _folder_of(path)
+    wanted = [*names, *([MOTION] if path.is_dir() else [])]
+    check_result(folder, wanted)
+    try:
+        check_readable(path)
+        for name in wanted:
+            with suppress(FileNotFoundError):
+                copy_file(folder, *Path(name).parts, to=private)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    return FoundResult(folder, private, private / MOTION if path.is_dir() else path, None)
 
 
 _SAME_BODY_M = 1e-3

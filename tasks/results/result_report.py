@@ -110,7 +110,7 @@ def shows_another_motion(film: Path, motion_sha256: str) -> bool:
     import av
 
     try:
-        with av.open(str(film)) as container:
+        with av.open(str(film), options={"protocol_whitelist": "file", "format_whitelist": "mov"}) as container:
             said = container.metadata.get("comment", "")
     except (OSError, av.FFmpegError):
         return True

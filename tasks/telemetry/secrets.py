@@ -10,7 +10,7 @@ import logging
 import os
 import re
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
@@ -75,16 +75,29 @@ def without_secrets(text: str) -> str:
 
 
 def hidden_in(content: Any) -> Any:
-    """Return plain content with `without_secrets` applied to each of its texts.
+    """Return plain content with `without_secrets` applied to each of its texts; texts named as secrets are hidden.
 
     Args:
         content: of JSON.
     """
     if isinstance(content, dict):
-        return {name: hidden_in(value) for name, value in content.items()}
+        return {name: hidden_in(value) if _is_shown(name, value) else HIDDEN for name, value in content.items()}
     if isinstance(content, list | tuple):
         return [hidden_in(one) for one in content]
     return without_secrets(content) if isinstance(content, str) else content
+
+
+def secret_entry(content: Mapping[str, Any]) -> str | None:
+    """Return the name of the first entry that holds a secret; None where there is none.
+
+    Args:
+        content: of JSON.
+    """
+    return next((name for name, value in content.items() if hidden_in({name: value}) != {name: value}), None)
+
+
+def _is_shown(name: Any, value: Any) -> bool:
+    return not (isinstance(name, str) and isinstance(value, str) and value and _SECRET_NAME.match(name))
 
 
 def without_login(address: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +13,7 @@ from hfb.config import Record
 from hfb.errors import InputError
 from hfb.interop.writers.export_names import RECORD, RESULT
 from hfb.io.atomic import write_bytes_atomic
+from hfb.io.safe_folder import NotOrdinary, copy_file, read_file
 from hfb.io.toml_file import to_record
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.telemetry.secrets import hidden_in
@@ -103,9 +105,7 @@ def read_kept(result: Path) -> RunRecord:
     """
     path = result / RECORD
     try:
-        if path.is_symlink() or not path.is_file() or path.stat().st_size > _LIMIT_BYTES:
-            raise ValueError("it is no file of hfb's")
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_file(result, RECORD, limit=_LIMIT_BYTES))
         if not isinstance(content, dict):
             raise ValueError("it is no record")
     except (OSError, ValueError, RecursionError) as error:
@@ -120,18 +120,21 @@ def read_kept(result: Path) -> RunRecord:
     return record
 
 
-def check_recorded_files(record: RunRecord, result: Path) -> dict[str, Path]:
-    """Return the files of a record in a result's folder, each unchanged since the result was made.
+def copy_recorded_files(record: RunRecord, result: Path, private: Path) -> dict[str, Path]:
+    """Copy the files of a record out of a result's folder, each unchanged since the result was made.
 
     Args:
         record: content of the run.
         result: the folder.
+        private: folder of the copies, which MLflow opens by path.
 
     Raises:
         InputError: one is gone, was changed, or is a link.
     """
-    paths = {name: result / name for name in record.files}
-    for name, path in paths.items():
-        if path.is_symlink() or not path.is_file() or sha256_of(path) != record.files[name].sha256:
-            raise InputError(f"{path} is not as the result's command left it: run that command again")
+    paths = {}
+    for name, file in record.files.items():
+        with suppress(OSError, NotOrdinary):
+            paths[name] = copy_file(result, name, to=private)
+        if name not in paths or sha256_of(paths[name]) != file.sha256:
+            raise InputError(f"{result / name} is not as the result's command left it: run that command again")
     return paths

@@ -2,9 +2,10 @@
 
 import re
 import struct
-from collections.abc import Iterator, Mapping
-from io import BufferedIOBase
+from collections.abc import Mapping
 from pathlib import Path
+
+from hfb.io.media.mp4_boxes import boxes_of
 
 Rate = tuple[float, str]
 """(frames per second, where it stands)."""
@@ -12,8 +13,6 @@ Rate = tuple[float, str]
 _KEYS = ("com.android.capture.fps", "capture_fps", "capturefps", "captureframerate")
 _APPLE_INTENT = "com.apple.quicktime.full-frame-rate-playback-intent"
 _LEAST_FPS, _MOST_FPS = 0.01, 1_000_000.0
-_BOX_LIMIT, _BOXES_LIMIT = 1 << 20, 10_000
-_MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
 _SAME_SHARE = 0.03
 _UNIT = 0x10000  # 1.0 in fixed point 16.16
 
@@ -28,7 +27,7 @@ def stated_capture_rate(path: Path, metadata: Mapping[str, str]) -> Rate | None:
     for name, text in sorted(metadata.items()):
         if name.lower() in _KEYS and (fps := _rate(text)):
             return fps, f"its entry {name}"
-    for kind, content in _boxes_of(path, (b"meta", b"xml "), (b"moov", b"meta", b"xml "), (b"moov", b"udta", b"GPMF")):
+    for kind, content in boxes_of(path, (b"meta", b"xml "), (b"moov", b"meta", b"xml "), (b"moov", b"udta", b"GPMF")):
         fps = _gopro_rate(content) if kind == b"GPMF" else _sony_rate(content)
         if fps:
             return fps, "GoPro's settings in it" if kind == b"GPMF" else "its entry captureFps"
@@ -67,7 +66,7 @@ def is_time_mapped(path: Path) -> bool:
     Args:
         path: the video file.
     """
-    for _, content in _boxes_of(path, (b"moov", b"trak", b"edts", b"elst")):
+    for _, content in boxes_of(path, (b"moov", b"trak", b"edts", b"elst")):
         size, at = (20, 16) if content[:1] == b"\x01" else (12, 8)  # version, of 64 or 32 bits
         for start in range(8, len(content) - size + 1, size):
             speed = struct.unpack_from(">i", content, start + at)[0]
@@ -110,43 +109,3 @@ def _gopro_rate(settings: bytes) -> float | None:
         return None
     numerator, denominator = struct.unpack(f">2{letter}", data)
     return _rate(f"{numerator}/{denominator}") if numerator > 0 and denominator > 0 else None
-
-
-def _boxes_of(path: Path, *wanted: tuple[bytes, ...]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield (kind, content) of an MP4's or MOV's boxes at the given places; nothing of other or damaged files."""
-    try:
-        with path.open("rb") as file:
-            end = file.seek(0, 2)
-            file.seek(4)
-            if file.read(4) not in _MP4_FIRST_BOXES:
-                return
-            budget = iter(range(_BOXES_LIMIT))
-            for place in wanted:
-                yield from ((place[-1], content) for content in _descend(file, 0, end, place, budget))
-    except (OSError, struct.error):
-        return
-
-
-def _descend(
-    file: BufferedIOBase, start: int, end: int, place: tuple[bytes, ...], budget: Iterator[int]
-) -> Iterator[bytes]:
-    while start + 8 <= end and next(budget, None) is not None:
-        file.seek(start)
-        size, kind = struct.unpack(">I4s", file.read(8))
-        head = 8
-        if size == 1:
-            size, head = struct.unpack(">Q", file.read(8))[0], 16
-        last = end if size == 0 else start + size
-        if (size and size < head) or last > end:
-            return
-        if kind == place[0]:
-            inner = start + head
-            if len(place) == 1:
-                file.seek(inner)
-                yield file.read(min(last - inner, _BOX_LIMIT))
-            else:
-                # ISO's `meta` begins with a version, QuickTime's does not.
-                file.seek(inner + 4)
-                versioned = kind == b"meta" and file.read(4) not in (b"hdlr", b"keys", b"ilst", b"xml ")
-                yield from _descend(file, inner + 4 * versioned, last, place[1:], budget)
-        start = last

@@ -18,6 +18,7 @@ from hfb.io.media.footage_files import footage_files, one_size, sample_remarks
 from hfb.io.media.footage_names import PICTURE_SUFFIXES
 from hfb.io.media.images.image_io import read_picture_srgb, recorded_exposure
 from hfb.io.media.lens.lens import Lens
+from hfb.io.media.video.clean_aperture import WHOLE
 from hfb.io.media.video.frame_times import irregular, is_pulled_down, nominal_interval
 from hfb.io.media.video.interlacing import Scan
 from hfb.io.media.video.video_index import OnProgress, VideoIndex, index_video
@@ -274,6 +275,11 @@ def _of_video(
 def _remarks(index: VideoIndex) -> Iterator[str]:
     """Yield remarks for the user on how a video is read."""
     yield from index.remarks
+    if index.crop != WHOLE:
+        yield (
+            f"{index.path.name} has a clean aperture: frames are cropped to it by {str(index.crop)[1:-1]} px (top, "
+            "bottom, left, right), and plates and the camera's numbers have to be for the rest"
+        )
     if index.aspect != 1:
         yield (
             f"{index.path.name} has pixels that are not square: frames are stretched to {index.width} x "

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.io.media.images.image_decoding import decode_picture
 from hfb.report.pages.page import page, picture_uri, small_picture
 
 CLIPS_PER_PAGE = 100
@@ -125,16 +125,17 @@ def batch_page(
     )
 
 
-def strip_thumbnail(strip: Path) -> bytes:
+def strip_thumbnail(strip: Path, content: bytes) -> bytes:
     """Return the first row of a result's strip as a small JPEG.
 
     Args:
-        strip: the result's strip.png.
+        strip: the result's strip.png, for messages.
+        content: of it.
 
     Raises:
         InputError: it is damaged, or no image.
     """
-    pixels = read_picture_srgb(strip)
+    pixels = decode_picture(strip, data=content).pixels
     width_px, height_px = _THUMBNAIL_PX
     height, width = pixels.shape[:2]
     rows = max(1, min(height, round(height_px * max(width, width_px) / width_px)))

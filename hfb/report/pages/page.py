@@ -16,6 +16,8 @@ import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from hfb.io.media.images.image_access import read_bytes
+from hfb.io.media.images.image_decoding import decode_picture
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.typing import Array, Float
 
@@ -111,9 +113,10 @@ def checked_picture(file: Path, width_px: int, kept_bytes: int) -> bytes:
     Raises:
         InputError: it is damaged, or no image.
     """
-    pixels = read_picture_srgb(file)
-    content = file.read_bytes() if file.stat().st_size <= kept_bytes else b""
-    return content if content.startswith(_SHOWN_BY_BROWSERS) else small_picture(pixels, width_px)
+    content = read_bytes(file)
+    pixels = decode_picture(file, data=content).pixels
+    kept = len(content) <= kept_bytes and content.startswith(_SHOWN_BY_BROWSERS)
+    return content if kept else small_picture(pixels, width_px)
 
 
 @cache

@@ -62,16 +62,17 @@ class _Facts(_Figures):
     inputs: dict[str, str] | None = None
 
 
-def read_facts(path: Path) -> dict[str, Any]:
+def read_facts(path: Path, root: Path | None = None) -> dict[str, Any]:
     """Read and validate a result.json.
 
     Args:
         path: the file.
+        root: see `hfb.io.json_file.read_json`.
 
     Raises:
         InputError: it is missing, damaged, or an entry that hfb uses has another type.
     """
-    content = read_json(path)
+    content = read_json(path, root=root)
     if not isinstance(content, dict):
         raise InputError(f"{path} is not a result of hfb: give the folder of one")
     try:

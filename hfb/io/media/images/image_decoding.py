@@ -60,7 +60,7 @@ class _Levels:
     remarks: tuple[str, ...] = ()
 
 
-def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
+def decode_picture(path: Path, transfer: Transfer = "srgb", data: bytes | None = None) -> Picture:
     """Read an image of 8 to 16 bits per channel.
 
     Gray becomes RGB, an alpha channel is dropped, the camera's EXIF rotation is applied.
@@ -69,11 +69,12 @@ def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
         path: the image file.
         transfer: the light that the user knows it to store. ``srgb``: what the file says of its colours counts, they
             become sRGB's; else the values stay as they are.
+        data: its content, if that was read before.
 
     Raises:
         InputError: missing, empty, truncated, too large, or no image; the text names the fix.
     """
-    data = read_bytes(path)
+    data = read_bytes(path) if data is None else data
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -9,7 +9,7 @@ from PIL import Image
 
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.media.images.image_access import FORMATS, PIXEL_LIMIT
+from hfb.io.media.images.image_access import FORMATS, PIXEL_LIMIT, read_bytes
 from hfb.io.media.images.image_decoding import decode_picture, picture_size
 from hfb.photometry import Transfer
 from hfb.typing import Array, Float
@@ -50,8 +50,8 @@ def stored_png(path: Path) -> bytes:
     Raises:
         InputError: as `read_picture_srgb`, or it is an image of another kind.
     """
-    decode_picture(path)
-    data = path.read_bytes()
+    data = read_bytes(path)
+    decode_picture(path, data=data)
     if not data.startswith(b"\x89PNG"):
         raise InputError(f"{path}: is no PNG picture, whatever it is called; make the result again.")
     return data

@@ -10,6 +10,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.io.media.capture_rate import is_apple_slow_motion, is_time_mapped, stated_capture_rate
+from hfb.io.media.video.clean_aperture import WHOLE, Crop, clean_aperture
 from hfb.io.media.video.counted_frames import read_on
 from hfb.io.media.video.frame_times import even_times
 from hfb.io.media.video.interlacing import Scan, stated_interlaced
@@ -39,6 +40,7 @@ class VideoIndex:
         width: as shown: the container's rotation is applied, and pixels are square.
         rate: (frames per second, where that is from), should they have to be counted.
         aspect: width / height of a pixel as stored; see `hfb.io.media.video.video_pixels.pixel_aspect`.
+        crop: rows and columns that are not shown; see `hfb.io.media.video.clean_aperture.clean_aperture`.
         counted: why frames go by number, one sentence; None where they go by their time stamps.
         loss: known loss in the file, one sentence.
         tick_s: the resolution of `times_s`.
@@ -57,6 +59,7 @@ class VideoIndex:
     bits: int
     rate: tuple[float, str]
     aspect: float = 1.0
+    crop: Crop = WHOLE
     recorded_exposure: tuple[float, str] | None = None
     counted: str | None = None
     loss: str | None = None
@@ -116,7 +119,7 @@ class VideoIndex:
                     yield self._picture(frame)
 
     def _picture(self, frame: av.VideoFrame) -> Float[Array, "H W 3"]:
-        return zero_to_one(upright(frame, self.path, self.aspect, self.colours))
+        return zero_to_one(upright(frame, self.path, self.aspect, self.colours, self.crop))
 
     def look_through(
         self, start: int, stop: int, on_progress: OnProgress | None = None, scan: Scan | None = None
@@ -206,7 +209,8 @@ def index_video(path: Path) -> VideoIndex:
     try:
         with open_video(path) as container:
             stream = video_stream(container)
-            base, aspect = float(stream.time_base or 0), pixel_aspect(stream)
+            base, crop = float(stream.time_base or 0), clean_aperture(path, stream)
+            aspect = pixel_aspect(stream, crop)
             metadata = {**container.metadata, **stream.metadata}
             exposure, capture = _recorded_exposure(metadata), stated_capture_rate(path, metadata)
             slow = is_time_mapped(path) or is_apple_slow_motion(metadata)
@@ -221,7 +225,7 @@ def index_video(path: Path) -> VideoIndex:
     if not count:
         raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")
     first, colours, remarks = _first_frame(path)
-    height, width, _ = upright(first, path, aspect, colours).shape
+    height, width, _ = upright(first, path, aspect, colours, crop).shape
     told = len(np.unique(stamps)) == count
     ordered = stamps if told else np.arange(count)
     index = VideoIndex(
@@ -234,6 +238,7 @@ def index_video(path: Path) -> VideoIndex:
         16 if is_deep(first) else 8,
         rate,
         aspect,
+        crop,
         exposure,
         loss=f"{path.name} is damaged or cut off: {lost}" if lost else None,
         tick_s=base,

@@ -10,6 +10,7 @@ import numpy as np
 from av.video.reformatter import Interpolation
 
 from hfb.errors import InputError
+from hfb.io.media.video.clean_aperture import WHOLE, Crop
 from hfb.io.media.video.video_colours import NOT_STATED, Stated, is_yuv, source_colours
 from hfb.io.media.video.video_file import check_size
 from hfb.typing import Array, Float, Shaped
@@ -22,14 +23,17 @@ _CONVERSION = Interpolation.BICUBIC | Interpolation.ACCURATE_RND | Interpolation
 _LEVELS = np.arange(256, dtype=np.float32) / np.float32(255)
 
 
-def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NOT_STATED) -> Shaped[Array, "H W 3"]:
-    """Return RGB levels, uint8, or uint16 for more than 8 bits, turned and stretched as players show them.
+def upright(
+    frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NOT_STATED, crop: Crop = WHOLE
+) -> Shaped[Array, "H W 3"]:
+    """Return RGB levels, uint8, or uint16 for more than 8 bits, cropped, turned and stretched as players show them.
 
     Args:
         frame: decoded.
         path: the video's, for the message.
         aspect: see `pixel_aspect`.
         stated: the colours that the container states; see `hfb.io.media.video.video_colours.stated_colours`.
+        crop: see `hfb.io.media.video.clean_aperture.clean_aperture`.
 
     Raises:
         InputError: the frame is damaged, or too large once it is stretched.
@@ -38,8 +42,9 @@ def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NO
         pixels = _rgb(frame, stated)
     except (av.FFmpegError, ValueError, MemoryError):
         raise InputError(f"{path}: a frame is damaged; cut the video before it, or convert it to H.264.") from None
+    pixels = pixels[crop[0] : frame.height - crop[1], crop[2] : frame.width - crop[3]]
     if aspect != 1:
-        height, width = square_size(frame.height, frame.width, aspect)
+        height, width = square_size(pixels.shape[0], pixels.shape[1], aspect)
         check_size(path, width, height)
         pixels = stretched(pixels, height, width)
     return np.ascontiguousarray(_as_shown(pixels, frame))
@@ -91,15 +96,20 @@ def is_deep(frame: av.VideoFrame) -> bool:
     return any(component.bits > 8 for component in frame.format.components)
 
 
-def pixel_aspect(stream: av.VideoStream) -> float:
+def pixel_aspect(stream: av.VideoStream, crop: Crop = WHOLE) -> float:
     """Return width / height of a stored pixel before rotation by the container; HDV and anamorphic ones are not 1.
 
     It is 1 where the file states none, states an implausible one, or one within a hundredth of 1, since encoders round.
+    Without a statement FFmpeg compares the track's size, which may be that of the clean aperture, with the stored one.
 
     Args:
         stream: stream of the video.
+        crop: see `hfb.io.media.video.clean_aperture.clean_aperture`.
     """
-    aspect = float(stream.sample_aspect_ratio or 1)
+    aspect, (height, width) = float(stream.sample_aspect_ratio or 1), (stream.height, stream.width)
+    shown = (width - crop[2] - crop[3]) / width / ((height - crop[0] - crop[1]) / height)
+    if abs(aspect / shown - 1) < _AS_GOOD_AS_SQUARE:
+        return 1.0
     believed = 1 / _MOST_STRETCH <= aspect <= _MOST_STRETCH and abs(aspect - 1) > _AS_GOOD_AS_SQUARE
     return aspect if believed else 1.0
 

@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.io.media.video.clean_aperture import clean_aperture
 from hfb.io.media.video.video_colours import refuse_hdr, stated_colours
 from hfb.io.media.video.video_file import open_video, video_stream
 from hfb.io.media.video.video_pixels import pixel_aspect, upright, zero_to_one
@@ -99,7 +100,8 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
         with open_video(path) as container:
             stream = video_stream(container)
             stream.thread_type = "AUTO"
-            aspect, stated = pixel_aspect(stream), stated_colours(stream)
+            crop, stated = clean_aperture(path, stream), stated_colours(stream)
+            aspect = pixel_aspect(stream, crop)
             for index, frame in enumerate(container.decode(stream)):
                 decoded = index + 1
                 if index == 0:
@@ -107,7 +109,7 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
                 if stop is not None and index >= stop:
                     return
                 if index >= start:
-                    yield upright(frame, path, aspect, stated)
+                    yield upright(frame, path, aspect, stated, crop)
     except av.FFmpegError as error:
         if decoded <= start:  # a damaged tail is no reason to lose the frames before it
             raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None
