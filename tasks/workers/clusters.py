@@ -113,7 +113,7 @@ class _Dask:
         except (OSError, ValueError) as error:
             place = without_secrets(address)
             raise TemporaryError(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
-        self._address, self._running = address, set[Any]()
+        self._running: set[Any] = set()
 
     def count(self) -> int:
         """Number of workers."""
