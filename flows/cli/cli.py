@@ -17,6 +17,7 @@ import signal
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -129,25 +130,20 @@ def command_line() -> argparse.ArgumentParser:
     clips.add_batch_flags(batch)
     add_config_flags(batch)
 
-    synth = _command(
-        commands, "synth", _synth, "write the cases of a set: pictures, and what happened", configured=False
-    )
+    of_sets = partial(_command, commands, configured=False)
+    synth = of_sets("synth", _synth, "write the cases of a set: pictures, and what happened")
     synth.add_argument("set", choices=(*judging.SETS, "clip"), help="which set; clip: one clip for hfb video")
     synth.add_argument("--mp4", action="store_true", help="clip: a video instead of a folder of its frames")
     synth.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
     judging.add_set_flags(synth)
 
-    benchmark = _command(
-        commands, "benchmark", _benchmark, "methods against cases of known truth: tables and plots", configured=False
-    )
+    benchmark = of_sets("benchmark", _benchmark, "methods against cases of known truth: tables and plots")
     benchmark.add_argument("set", choices=judging.SETS, help="which set")
     benchmark.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
     judging.add_set_flags(benchmark)
     judging.add_method_flags(benchmark)
 
-    reproduce = _command(
-        commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers", configured=False
-    )
+    reproduce = of_sets("reproduce", _reproduce, "a table of the paper: ours beside its numbers")
     reproduce.add_argument("experiment", metavar="table1|...|table5", help="a table of the paper")
     judging.add_set_flags(reproduce, count=None)
     judging.add_method_flags(reproduce, of_set=False)
@@ -157,62 +153,23 @@ def command_line() -> argparse.ArgumentParser:
     programs.set_defaults(run=_train, command=programs)
     training.add_program_flags(programs)
 
-    train = _command(
-        commands,
-        "train-prior",
-        _train_prior,
-        "learn from your motion capture how people move, or stand",
-        configured=False,
-        out="FILE",
-    )
-    training.add_training_flags(train)
+    what = "learn from your motion capture how people move, or stand"
+    training.add_training_flags(of_sets("train-prior", _train_prior, what, out="FILE"))
 
-    models = _command(
-        commands, "models", models_cli.models, "networks and files that can be used; get the rest", seeded=True
-    )
+    of_runs = partial(_command, commands, seeded=True)
+    models = of_runs("models", models_cli.models, "networks and files that can be used; get the rest")
     models_cli.add_models_flags(models)
 
-    again = _command(
-        commands, "rerun", repeating.rerun, "repeat a recorded run, and compare", seeded=True, configured=False
-    )
-    repeating.add_rerun_flags(again)
+    of_results = partial(of_runs, configured=False)
+    repeating.add_rerun_flags(of_results("rerun", repeating.rerun, "repeat a recorded run, and compare"))
+    repeating.add_compare_flags(of_results("compare", repeating.compare, "recorded runs beside each other"))
+    what = "a result for Blender, AMASS's tools, OpenSim ..."
+    results.add_export_flags(of_results("export", results.export, what))
+    results.add_report_flags(of_results("report", results.report_result, "a result on one page that opens anywhere"))
+    what = "put a result into MLflow that could not be recorded when made"
+    results.add_record_flags(of_results("record", results.record_result, what))
 
-    compare = _command(
-        commands, "compare", repeating.compare, "recorded runs beside each other", seeded=True, configured=False
-    )
-    repeating.add_compare_flags(compare)
-
-    exported = _command(
-        commands,
-        "export",
-        results.export,
-        "a result for Blender, AMASS's tools, OpenSim ...",
-        seeded=True,
-        configured=False,
-    )
-    results.add_export_flags(exported)
-
-    reported = _command(
-        commands,
-        "report",
-        results.report_result,
-        "a result on one page that opens anywhere",
-        seeded=True,
-        configured=False,
-    )
-    results.add_report_flags(reported)
-
-    recorded = _command(
-        commands,
-        "record",
-        results.record_result,
-        "put a result into MLflow that could not be recorded when made",
-        seeded=True,
-        configured=False,
-    )
-    results.add_record_flags(recorded)
-
-    runs = _command(commands, "runs", models_cli.runs, "show the recorded runs in a browser (MLflow)", seeded=True)
+    runs = of_runs("runs", models_cli.runs, "show the recorded runs in a browser (MLflow)")
     runs.add_argument("--port", type=int, default=5000, help="[5000]")
     return parser
 

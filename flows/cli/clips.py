@@ -12,6 +12,7 @@ from hfb.errors import InputError
 from hfb.flows.cli.judging import add_worker_flags, positive
 from hfb.flows.cli.options import run_config
 from hfb.flows.runtime.session import Chain, open_session, tell, through_prefect, when_ready
+from hfb.flows.runtime.summary import figure_text
 from hfb.tasks.batch.notifications import FORMS, VARIABLE, addresses_of, enable_notifications
 from hfb.tasks.inputs.out_place import check_batch_out, default_out
 from hfb.tasks.workers.engine import engine_of
@@ -195,10 +196,10 @@ def video_text(result: Mapping[str, Any]) -> str:
         ("frames", f"{result['frames']} ({result['resumed_frames']} from an earlier start)"),
         ("sub-frames", str(result["sub_frames"])),
         ("gaps", gaps),
-        ("IoU with the matte", _shown(result.get("matte_iou"), ".3f")),
-        ("image PSNR [dB]", _shown(result.get("psnr_db"), ".1f")),
-        ("MPJPE [mm]", _shown(result.get("mpjpe_mm"), ".1f")),
-        ("jump at an edge [mm]", _shown(result.get("worst_jump_mm"), ".2f")),
+        ("IoU with the matte", figure_text(result.get("matte_iou"), ".3f")),
+        ("image PSNR [dB]", figure_text(result.get("psnr_db"), ".1f")),
+        ("MPJPE [mm]", figure_text(result.get("mpjpe_mm"), ".1f")),
+        ("jump at an edge [mm]", figure_text(result.get("worst_jump_mm"), ".2f")),
         ("seconds", f"{result['seconds']:.1f}   ({result['seconds'] / result['frames']:.2f} per frame)"),
     ]
     lines = ["", *(f"{name:<24}{value}" for name, value in rows if value != "-"), ""]
@@ -210,7 +211,9 @@ def _people_text(result: Mapping[str, Any]) -> str:
     """Return a line per person."""
     lines = [""]
     for one in result["people"]:
-        told = one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {_shown(one['matte_iou'], '.3f')}"
+        told = (
+            one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {figure_text(one['matte_iou'], '.3f')}"
+        )
         lines.append(f"{one['name']:<16}seen in {one['seen']} frames; {told}; {one['out']}")
     return "\n".join([*lines, "", f"result   {result['out']}"])
 
@@ -223,7 +226,3 @@ def batch_text(result: Mapping[str, Any]) -> str:
     """
     counts = f"{result['done']} of {result['clips']} clips done, {result['set_aside']} set aside"
     return f"\n{counts}\npage     {result['page']}\nresult   {result['out']}"
-
-
-def _shown(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)

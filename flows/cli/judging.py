@@ -13,6 +13,7 @@ from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import METHOD_NAMES, MethodSpec, method_spec
+from hfb.flows.runtime.summary import figure_text
 from hfb.io.toml_file import to_record
 
 if TYPE_CHECKING:
@@ -182,10 +183,9 @@ def benchmark_text(result: Mapping[str, Any]) -> str:
         interval = cell["ratio_ci95"]
         low_high = f"[{interval[0]:.2f}, {interval[1]:.2f}]" if interval else "-"
         of = cell["n_pose"] if interval else cell["n"]
-        share = "-" if cell["better_than_start"] is None else f"{cell['better_than_start']:.0%}"
+        share, iou = figure_text(cell["better_than_start"], ".0%"), figure_text(cell["iou"], ".3f")
         numbers = ((cell["initial_mpjpe_mm"], ".1f", 9), (cell["mpjpe_mm"], ".1f", 9), (cell["ratio"], ".3f", 8))
-        text = "".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in numbers)
-        iou = "-" if cell["iou"] is None else f"{cell['iou']:.3f}"
+        text = "".join(f"{figure_text(value, form):>{width}}" for value, form, width in numbers)
         lines.append(f"{name:<24}{of:>5}{text}   {low_high:<14}{iou:>6}{share:>8}")
     lines += ["", f"cases    {result['count']} ({result['skipped']} left out)", f"page     {result['page']}"]
     lines += [f"result   {result['out']}"]

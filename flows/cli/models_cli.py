@@ -49,7 +49,7 @@ def models(given: argparse.Namespace) -> None:
     if given.action == "fetch":
         from hfb.tasks.telemetry import displays, progress
 
-        with progress.showing(displays.display_for(quiet=given.quiet)), progress.step("pose networks"):
+        with progress.showing(*displays.displays_for(quiet=given.quiet)), progress.step("pose networks"):
             networks = fetch_networks(progress.say, given.files, given.force)
     else:
         networks = list_networks()

@@ -74,7 +74,7 @@ def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) ->
     if recorded:
         check_store(tracking_uri())
     remark = make_home()
-    with serve_metrics(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
+    with serve_metrics(), progress.showing(*displays.displays_for(quiet=given.quiet)), results_alone_on_stdout():
         if remark:
             progress.say(f"hfb: {remark}")
         yield
