@@ -55,9 +55,9 @@ def main(arguments: list[str] | None = None) -> int:
     if at_interrupt is signal.default_int_handler:  # and not ignored, as in the background of a shell
         signal.signal(signal.SIGINT, _interrupt)
     try:
-        given = _parse(words)
+        args = _parse(words)
         check_home()
-        code = given.run(given) or _DONE
+        code = args.run(args) or _DONE
         sys.stdout.flush()
         return code
     except InputError as error:
@@ -85,14 +85,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parse(words: list[str]) -> argparse.Namespace:
-    given, unknown = command_line().parse_known_args(words)
+    args, unknown = command_line().parse_known_args(words)
     if unknown:
-        flags = re.findall(r"--[a-z][\w.-]*", given.command.format_help())
+        flags = re.findall(r"--[a-z][\w.-]*", args.command.format_help())
         close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"see `{given.command.prog} --help`"
+        hint = f"did you mean {close[0]}?" if close else f"see `{args.command.prog} --help`"
         raise InputError(f"unrecognized argument {unknown[0]}; {hint}")
-    given.words = words
-    return given
+    args.words = words
+    return args
 
 
 class _Parser(argparse.ArgumentParser):
@@ -190,110 +190,110 @@ def _command(
     return command
 
 
-def _fit(given: argparse.Namespace) -> None:
+def _fit(args: argparse.Namespace) -> None:
     from hfb.tasks.inputs.inputs import assumptions, take_inputs
 
-    config = run_config(given)
-    out = given.out or Path("runs") / given.frames[0].stem
-    inputs = take_inputs(given.frames, given.background, config, given.clip, out=out)  # what is missing is said at once
-    if not given.quiet:
+    config = run_config(args)
+    out = args.out or Path("runs") / args.frames[0].stem
+    inputs = take_inputs(args.frames, args.background, config, args.clip, out=out)  # what is missing is said at once
+    if not args.quiet:
         for assumed in assumptions(inputs, config):
             print(f"hfb: {assumed}", file=sys.stderr)
 
     def load() -> Chain:
         from hfb.flows.fit_image import fit_image
 
-        return when_ready(lambda: fit_image(given.frames, given.background, out, config, clip=given.clip))
+        return when_ready(lambda: fit_image(args.frames, args.background, out, config, clip=args.clip))
 
-    result = through_prefect(given, out, load)
-    report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
+    result = through_prefect(args, out, load)
+    report(args, result, summary.FIT_KEYS, summary.FIT_ROWS)
 
 
-def _demo(given: argparse.Namespace) -> None:
-    config = run_config(given)
-    out = given.out or Path("runs/demo")
+def _demo(args: argparse.Namespace) -> None:
+    config = run_config(args)
+    out = args.out or Path("runs/demo")
 
     def load() -> Chain:
         from hfb.flows.fit_image import fit_example
 
         return lambda ready: fit_example(out, config, ready)
 
-    result = through_prefect(given, out, load)
-    report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
+    result = through_prefect(args, out, load)
+    report(args, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
 
 
-def _synth(given: argparse.Namespace) -> None:
-    if given.set == "clip":
-        clips.synth_clip(given)
+def _synth(args: argparse.Namespace) -> None:
+    if args.set == "clip":
+        clips.synth_clip(args)
         return
-    if given.mp4:
+    if args.mp4:
         raise InputError("the cases of a set are pictures: leave --mp4 out, or take `hfb synth clip`")
-    spec = judging.set_spec(given, given.frames)
-    out, engine = given.out or Path("runs") / f"{given.set}-cases", engine_of(given.workers, given.store)
+    spec = judging.set_spec(args, args.frames)
+    out, engine = args.out or Path("runs") / f"{args.set}-cases", engine_of(args.workers, args.store)
 
     def load() -> Chain:
         from hfb.flows.benchmark import run_synthesis
 
-        return when_ready(lambda: run_synthesis(spec, given.count, out, engine))
+        return when_ready(lambda: run_synthesis(spec, args.count, out, engine))
 
-    result = through_prefect(given, out, load)
-    tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
-
-
-def _benchmark(given: argparse.Namespace) -> None:
-    out = given.out or Path("runs") / given.set
-    result = _run_benchmark(given, given.frames, out)
-    tell(given, result, judging.benchmark_text(result))
+    result = through_prefect(args, out, load)
+    tell(args, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
 
 
-def _reproduce(given: argparse.Namespace) -> None:
-    experiment_file(given.experiment)  # a misspelt name is told before anything is loaded
+def _benchmark(args: argparse.Namespace) -> None:
+    out = args.out or Path("runs") / args.set
+    result = _run_benchmark(args, args.frames, out)
+    tell(args, result, judging.benchmark_text(result))
+
+
+def _reproduce(args: argparse.Namespace) -> None:
+    experiment_file(args.experiment)  # a misspelt name is told before anything is loaded
     from hfb.evaluation.experiments import find_experiment
 
-    experiment = find_experiment(given.experiment)
-    given.set, given.fill = experiment.set, experiment.fill
-    given.count = given.count or experiment.count
-    given.methods = given.methods or ",".join(experiment.methods)
-    out = given.out or Path("runs") / given.experiment
-    result = _run_benchmark(given, experiment.frames, out, experiment)
-    tell(given, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
+    experiment = find_experiment(args.experiment)
+    args.set, args.fill = experiment.set, experiment.fill
+    args.count = args.count or experiment.count
+    args.methods = args.methods or ",".join(experiment.methods)
+    out = args.out or Path("runs") / args.experiment
+    result = _run_benchmark(args, experiment.frames, out, experiment)
+    tell(args, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
 
 
 def _run_benchmark(
-    given: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
+    args: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
 ) -> dict[str, Any]:
-    judging.methods_of(given)  # what is wrong is said before anything is loaded
-    judging.set_spec(given, frames)
-    engine = engine_of(given.workers, given.store)
+    judging.methods_of(args)  # what is wrong is said before anything is loaded
+    judging.set_spec(args, frames)
+    engine = engine_of(args.workers, args.store)
 
     def load() -> Chain:
         from hfb.flows.benchmark import run_benchmark
 
-        plan = judging.plan_of(given, frames)
+        plan = judging.plan_of(args, frames)
         return when_ready(lambda: run_benchmark(plan, out, engine, experiment))
 
-    return through_prefect(given, out, load)
+    return through_prefect(args, out, load)
 
 
-def _train(given: argparse.Namespace) -> None:
-    kind, is_prior, _ = given.name.partition("-prior")
+def _train(args: argparse.Namespace) -> None:
+    kind, is_prior, _ = args.name.partition("-prior")
     if is_prior:
-        prior = _parse(["train-prior", "--kind", kind, *given.options])
+        prior = _parse(["train-prior", "--kind", kind, *args.options])
         return prior.run(prior)
-    return training.run_program(given)
+    return training.run_program(args)
 
 
-def _train_prior(given: argparse.Namespace) -> None:
-    out = given.out or training.DEFAULT_OUT[given.kind]
+def _train_prior(args: argparse.Namespace) -> None:
+    out = args.out or training.DEFAULT_OUT[args.kind]
 
     def load() -> Chain:
         from hfb.flows.train_prior import train_prior
 
-        plan = training.plan_of(given)
+        plan = training.plan_of(args)
         return when_ready(lambda: train_prior(plan, out))
 
-    result = through_prefect(given, out.parent, load)
-    tell(given, result, training.training_text(result))
+    result = through_prefect(args, out.parent, load)
+    tell(args, result, training.training_text(result))
 
 
 def _complain(message: str, as_json: bool, code: int) -> int:

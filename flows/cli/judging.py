@@ -100,25 +100,25 @@ def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> No
     )
 
 
-def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
+def set_spec(args: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
     """Return the set that the options describe.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         frames: blurred frames per case.
 
     Raises:
         InputError: a set of real video without videos, or a number that no set takes.
     """
-    size = {} if given.size is None else {"size_px": given.size}
-    if given.set in _REAL:
-        if not given.videos:
-            raise InputError(f"{given.set} is made from real video: give a folder with --videos DIR")
-        average = given.average or (_REAL_AVERAGES if given.set == "real" else (9,))
-        content = {"set": given.set, "videos": given.videos, "average": average} | size
-        return to_record(RealSpec, content | {"frames": frames, "seed": given.seed}, "options")
+    size = {} if args.size is None else {"size_px": args.size}
+    if args.set in _REAL:
+        if not args.videos:
+            raise InputError(f"{args.set} is made from real video: give a folder with --videos DIR")
+        average = args.average or (_REAL_AVERAGES if args.set == "real" else (9,))
+        content = {"set": args.set, "videos": args.videos, "average": average} | size
+        return to_record(RealSpec, content | {"frames": frames, "seed": args.seed}, "options")
     names = ("set", "seed", "fill", "easy", "motions", "backgrounds", "textures", "body")
-    content = {name: getattr(given, name) for name in names}
+    content = {name: getattr(args, name) for name in names}
     return to_record(SetSpec, content | size | {"frames": frames}, "options")
 
 
@@ -138,36 +138,36 @@ def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
     return tuple(method_spec(name, chains) for name in names)
 
 
-def methods_of(given: argparse.Namespace) -> tuple[MethodSpec, ...]:
+def methods_of(args: argparse.Namespace) -> tuple[MethodSpec, ...]:
     """Return the methods that the options name, or those of the set.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
 
     Raises:
         InputError: an unknown name; the sentence lists the known ones.
     """
-    suitable = _REAL_METHODS if given.set == "real" else _DEFAULT_METHODS
-    return method_specs(suitable if given.methods is None else given.methods, given.chains)
+    suitable = _REAL_METHODS if args.set == "real" else _DEFAULT_METHODS
+    return method_specs(suitable if args.methods is None else args.methods, args.chains)
 
 
-def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
+def plan_of(args: argparse.Namespace, frames: int) -> BenchmarkPlan:
     """Return everything that decides a benchmark's figures.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         frames: blurred frames per case.
     """
     from hfb.flows.benchmark import BenchmarkPlan
 
-    start = given.start or ("estimated" if given.set in _REAL else "simulated")
+    start = args.start or ("estimated" if args.set in _REAL else "simulated")
     return BenchmarkPlan(
-        spec=set_spec(given, frames),
-        count=given.count,
-        methods=methods_of(given),
+        spec=set_spec(args, frames),
+        count=args.count,
+        methods=methods_of(args),
         start=start,
         init=InitConfig(),
-        body=given.body,
+        body=args.body,
     )
 
 

@@ -42,12 +42,7 @@ class ClipRecord:
             "clip": inputs.clip.model_dump(mode="json"),
         }
         self._key = digest(["video", self._params, code_version()])
-        self._tags = {
-            "code": code_version(),
-            "seed": str(config.seed),
-            "preset": config.preset,
-            COMMAND_TAG: "video",
-        }
+        self._tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video"}
         self._run: tracking.Run | None = None
         self._points: dict[str, dict[int, float]] = {}
         self._there: dict[str, set[int]] = {}
