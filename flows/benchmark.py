@@ -217,9 +217,9 @@ def _made(
     """Return the cases that could be made, and why others could not."""
     folders = spec.videos if isinstance(spec, RealSpec) else (spec.motions, spec.backgrounds, spec.textures)
     check_sources_out(folders, out)
-    for given in folders:
-        if given is not None and not given.is_dir():
-            raise InputError(f"{given} is no folder")
+    for place in folders:
+        if place is not None and not place.is_dir():
+            raise InputError(f"{place} is no folder")
     sources = find_sources(spec, listing_of(*folders), folder)
     for name, reason in sources.refused.items():
         progress.say(f"left out: {name}: {reason}")

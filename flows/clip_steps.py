@@ -277,10 +277,10 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
         )
         for n in sorted(scene.mattes)
     ]
-    given = require_all(find_given_body, calls, "first bodies of the result")
-    found = {call.number: one.first for call, one in zip(calls, given, strict=True) if one.first is not None}
+    placed = require_all(find_given_body, calls, "first bodies of the result")
+    found = {call.number: one.first for call, one in zip(calls, placed, strict=True) if one.first is not None}
     if not found:
-        raise InputError(f"the result has a body for none of the frames ({given[0].reason}); say with --init.frame")
+        raise InputError(f"the result has a body for none of the frames ({placed[0].reason}); say with --init.frame")
     return _fill(scene, found)
 
 
@@ -423,10 +423,7 @@ def _around(number: int, known: Mapping[int, FirstBodyHandle]) -> tuple[tuple[in
 
 
 def require_all(
-    task: Task[[C], R],
-    calls: Sequence[C],
-    label: str,
-    on_outcome: Callable[[int, Outcome[R]], None] | None = None,
+    task: Task[[C], R], calls: Sequence[C], label: str, on_outcome: Callable[[int, Outcome[R]], None] | None = None
 ) -> list[R]:
     """Return all results in order; the first failure stops the rest.
 

@@ -214,7 +214,7 @@ def benchmark(
     with _on_a_worker(out, None, workers, store, **files):
         if places.is_limited():
             places.check_programs("chains", chains)
-        given = argparse.Namespace(
+        args = argparse.Namespace(
             set=set,
             count=count,
             methods=None if methods is None else ",".join(methods),
@@ -231,7 +231,7 @@ def benchmark(
             size=None,
             easy=False,
         )
-        plan = judging.plan_of(given, frames)
+        plan = judging.plan_of(args, frames)
         if places.is_limited():
             for spec in plan.methods:
                 places.check_config(spec.config, f"methods: {spec.name}")

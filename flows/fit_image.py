@@ -224,7 +224,7 @@ def _first_bodies(
     first = config.init.frame
     looks = tuple(Look(matte=one, frame=None if first is None else first + n) for n, one in enumerate(mattes))
     pictures = tuple(file.path.name for file in inputs.frames) if first is None else ()
-    given = read_result(
+    external = read_result(
         files=inputs.init_files,
         height=scene.height,
         width=scene.width,
@@ -235,15 +235,15 @@ def _first_bodies(
         frames=0,
         folder=folder,
     )
-    if whom := given.remark():
+    if whom := external.remark():
         progress.say(f"hfb: {whom}")
     return tuple(
         require(
             body_of_result(
-                clip=scene, index=index, number=number, mattes=mattes, result=given, body=inputs.body, folder=folder
+                clip=scene, index=index, number=number, mattes=mattes, result=external, body=inputs.body, folder=folder
             )
         )
-        for index, number in enumerate(given.numbers_of(len(scene.frames), first))
+        for index, number in enumerate(external.numbers_of(len(scene.frames), first))
     )
 
 

@@ -97,8 +97,8 @@ def plan_rerun(
         recipe = with_options(read_recipe(path, run.title), options or {}, run.title)
     fetched = recipe_config(recipe, {}, run.title).init.method in _FETCHED_NETWORKS
     with progress.step("inputs"):
-        given = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
-        places = locate_inputs(given, inputs_folder)
+        files = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
+        places = locate_inputs(files, inputs_folder)
     target = _fresh(out, run.run_id)
     again = _chain(recipe, recipe_config(recipe, places, run.title), places, run=run.title, out=target, workers=workers)
     return Plan(run, again, target, recipe.results, _list_changes(run))

@@ -193,10 +193,5 @@ def clip_place(out: Path, engine: Engine | int) -> Iterator[Path]:
         InputError: see `hfb.flows.runtime.workspace.workspace` and `hfb.tasks.workers.workers.workers`.
         InfrastructureError: see `hfb.flows.runtime.failures.explain_failures`.
     """
-    with (
-        explain_failures(out),
-        workspace(out) as folder,
-        workers(engine, apart=True),
-        records_in(folder),
-    ):
+    with explain_failures(out), workspace(out) as folder, workers(engine, apart=True), records_in(folder):
         yield folder

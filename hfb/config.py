@@ -128,9 +128,9 @@ class MattingConfig(Record):
         if self.weights is None or self.weights.suffix.lower() != ".onnx":
             return self
         fixed = ("backbone_scale", "refine_mode", "refine_pixels", "refine_threshold")
-        given = [name for name in fixed if getattr(self, name) is not None] + ["half"] * self.half
-        if given:
-            flags = ", ".join(f"--matting.{name.replace('_', '-')}" for name in given)
+        options = [name for name in fixed if getattr(self, name) is not None] + ["half"] * self.half
+        if options:
+            flags = ", ".join(f"--matting.{name.replace('_', '-')}" for name in options)
             raise ValueError(f"{flags}: an ONNX file has its own, fixed; leave them out, or give the TorchScript file")
         return self
 
@@ -281,14 +281,14 @@ class FitConfig(Record):
     def _read_old_names(cls, content: Any) -> Any:
         if not isinstance(content, Mapping):
             return content
-        given = dict(content)
-        for old in RENAMED_FIT_OPTIONS.keys() & given.keys():
+        options = dict(content)
+        for old in RENAMED_FIT_OPTIONS.keys() & options.keys():
             new = RENAMED_FIT_OPTIONS[old]
-            if new in given:
+            if new in options:
                 raise ValueError(f"{old} and {new} are the same option; leave out {old}, its old name")
-            given[new] = given.pop(old)
+            options[new] = options.pop(old)
             _log.warning("the option fit.%s is now called fit.%s; use the new name", old, new)
-        return given
+        return options
 
 
 class PriorConfig(Record):
@@ -312,10 +312,7 @@ class VideoConfig(Record):
     key_every: int = Field(4, ge=1, description="frames from one full search of a first body to the next")
     longest_fill: int = Field(8, ge=0, description="frames in a row without a first body that neighbours stand in for")
     settle: int = Field(60, ge=0, description="iterations of the skeleton alone, in every window")
-    stages: tuple[Stage, ...] = (
-        Stage(size_px=64, iterations=30),
-        Stage(size_px=128, iterations=40, cosine=True),
-    )
+    stages: tuple[Stage, ...] = (Stage(size_px=64, iterations=30), Stage(size_px=128, iterations=40, cosine=True))
 
 
 MotionFormat = Literal["amass", "glb", "bvh", "csv", "trc", "c3d"]

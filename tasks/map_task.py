@@ -108,10 +108,7 @@ class Chunk(Generic[C, R]):
 
 
 def map_task(
-    task: Task[[C], R],
-    calls: Sequence[C],
-    label: str,
-    on_outcome: Callable[[int, Outcome[R]], None] | None = None,
+    task: Task[[C], R], calls: Sequence[C], label: str, on_outcome: Callable[[int, Outcome[R]], None] | None = None
 ) -> list[Outcome[R]]:
     """Run a task once per call, as many at a time as the flow's task runner has workers.
 

@@ -187,11 +187,7 @@ class Task(Generic[P, R]):
 
 
 def task(
-    label: str,
-    *,
-    where: Where | Callable[..., Where] = "here",
-    cached: bool = True,
-    batch: BatchFunction | None = None,
+    label: str, *, where: Where | Callable[..., Where] = "here", cached: bool = True, batch: BatchFunction | None = None
 ) -> Callable[[Callable[P, R]], Task[P, R]]:
     """Make a module's function of handles and options a task.
 

@@ -194,3 +194,10 @@ def mlflow_rows(store: Path, query: str) -> list[tuple]:
     """What lies in the MLflow database."""
     with sqlite3.connect(store) as database:
         return database.execute(query).fetchall()
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a folder holds a complete result."""
+    from hfb.tasks.core.result_folder import is_unfinished
+
+    return (folder / "result.json").is_file() and not is_unfinished(folder)

@@ -17,6 +17,7 @@ import signal
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -54,9 +55,9 @@ def main(arguments: list[str] | None = None) -> int:
     if at_interrupt is signal.default_int_handler:  # and not ignored, as in the background of a shell
         signal.signal(signal.SIGINT, _interrupt)
     try:
-        given = _parse(words)
+        args = _parse(words)
         check_home()
-        code = given.run(given) or _DONE
+        code = args.run(args) or _DONE
         sys.stdout.flush()
         return code
     except InputError as error:
@@ -84,14 +85,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parse(words: list[str]) -> argparse.Namespace:
-    given, unknown = command_line().parse_known_args(words)
+    args, unknown = command_line().parse_known_args(words)
     if unknown:
-        flags = re.findall(r"--[a-z][\w.-]*", given.command.format_help())
+        flags = re.findall(r"--[a-z][\w.-]*", args.command.format_help())
         close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"see `{given.command.prog} --help`"
+        hint = f"did you mean {close[0]}?" if close else f"see `{args.command.prog} --help`"
         raise InputError(f"unrecognized argument {unknown[0]}; {hint}")
-    given.words = words
-    return given
+    args.words = words
+    return args
 
 
 class _Parser(argparse.ArgumentParser):
@@ -129,25 +130,20 @@ def command_line() -> argparse.ArgumentParser:
     clips.add_batch_flags(batch)
     add_config_flags(batch)
 
-    synth = _command(
-        commands, "synth", _synth, "write the cases of a set: pictures, and what happened", configured=False
-    )
+    of_sets = partial(_command, commands, configured=False)
+    synth = of_sets("synth", _synth, "write the cases of a set: pictures, and what happened")
     synth.add_argument("set", choices=(*judging.SETS, "clip"), help="which set; clip: one clip for hfb video")
     synth.add_argument("--mp4", action="store_true", help="clip: a video instead of a folder of its frames")
     synth.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
     judging.add_set_flags(synth)
 
-    benchmark = _command(
-        commands, "benchmark", _benchmark, "methods against cases of known truth: tables and plots", configured=False
-    )
+    benchmark = of_sets("benchmark", _benchmark, "methods against cases of known truth: tables and plots")
     benchmark.add_argument("set", choices=judging.SETS, help="which set")
     benchmark.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
     judging.add_set_flags(benchmark)
     judging.add_method_flags(benchmark)
 
-    reproduce = _command(
-        commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers", configured=False
-    )
+    reproduce = of_sets("reproduce", _reproduce, "a table of the paper: ours beside its numbers")
     reproduce.add_argument("experiment", metavar="table1|...|table5", help="a table of the paper")
     judging.add_set_flags(reproduce, count=None)
     judging.add_method_flags(reproduce, of_set=False)
@@ -157,62 +153,23 @@ def command_line() -> argparse.ArgumentParser:
     programs.set_defaults(run=_train, command=programs)
     training.add_program_flags(programs)
 
-    train = _command(
-        commands,
-        "train-prior",
-        _train_prior,
-        "learn from your motion capture how people move, or stand",
-        configured=False,
-        out="FILE",
-    )
-    training.add_training_flags(train)
+    what = "learn from your motion capture how people move, or stand"
+    training.add_training_flags(of_sets("train-prior", _train_prior, what, out="FILE"))
 
-    models = _command(
-        commands, "models", models_cli.models, "networks and files that can be used; get the rest", seeded=True
-    )
+    of_runs = partial(_command, commands, seeded=True)
+    models = of_runs("models", models_cli.models, "networks and files that can be used; get the rest")
     models_cli.add_models_flags(models)
 
-    again = _command(
-        commands, "rerun", repeating.rerun, "repeat a recorded run, and compare", seeded=True, configured=False
-    )
-    repeating.add_rerun_flags(again)
+    of_results = partial(of_runs, configured=False)
+    repeating.add_rerun_flags(of_results("rerun", repeating.rerun, "repeat a recorded run, and compare"))
+    repeating.add_compare_flags(of_results("compare", repeating.compare, "recorded runs beside each other"))
+    what = "a result for Blender, AMASS's tools, OpenSim ..."
+    results.add_export_flags(of_results("export", results.export, what))
+    results.add_report_flags(of_results("report", results.report_result, "a result on one page that opens anywhere"))
+    what = "put a result into MLflow that could not be recorded when made"
+    results.add_record_flags(of_results("record", results.record_result, what))
 
-    compare = _command(
-        commands, "compare", repeating.compare, "recorded runs beside each other", seeded=True, configured=False
-    )
-    repeating.add_compare_flags(compare)
-
-    exported = _command(
-        commands,
-        "export",
-        results.export,
-        "a result for Blender, AMASS's tools, OpenSim ...",
-        seeded=True,
-        configured=False,
-    )
-    results.add_export_flags(exported)
-
-    reported = _command(
-        commands,
-        "report",
-        results.report_result,
-        "a result on one page that opens anywhere",
-        seeded=True,
-        configured=False,
-    )
-    results.add_report_flags(reported)
-
-    recorded = _command(
-        commands,
-        "record",
-        results.record_result,
-        "put a result into MLflow that could not be recorded when made",
-        seeded=True,
-        configured=False,
-    )
-    results.add_record_flags(recorded)
-
-    runs = _command(commands, "runs", models_cli.runs, "show the recorded runs in a browser (MLflow)", seeded=True)
+    runs = of_runs("runs", models_cli.runs, "show the recorded runs in a browser (MLflow)")
     runs.add_argument("--port", type=int, default=5000, help="[5000]")
     return parser
 
@@ -233,110 +190,110 @@ def _command(
     return command
 
 
-def _fit(given: argparse.Namespace) -> None:
+def _fit(args: argparse.Namespace) -> None:
     from hfb.tasks.inputs.inputs import assumptions, take_inputs
 
-    config = run_config(given)
-    out = given.out or Path("runs") / given.frames[0].stem
-    inputs = take_inputs(given.frames, given.background, config, given.clip, out=out)  # what is missing is said at once
-    if not given.quiet:
+    config = run_config(args)
+    out = args.out or Path("runs") / args.frames[0].stem
+    inputs = take_inputs(args.frames, args.background, config, args.clip, out=out)  # what is missing is said at once
+    if not args.quiet:
         for assumed in assumptions(inputs, config):
             print(f"hfb: {assumed}", file=sys.stderr)
 
     def load() -> Chain:
         from hfb.flows.fit_image import fit_image
 
-        return when_ready(lambda: fit_image(given.frames, given.background, out, config, clip=given.clip))
+        return when_ready(lambda: fit_image(args.frames, args.background, out, config, clip=args.clip))
 
-    result = through_prefect(given, out, load)
-    report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
+    result = through_prefect(args, out, load)
+    report(args, result, summary.FIT_KEYS, summary.FIT_ROWS)
 
 
-def _demo(given: argparse.Namespace) -> None:
-    config = run_config(given)
-    out = given.out or Path("runs/demo")
+def _demo(args: argparse.Namespace) -> None:
+    config = run_config(args)
+    out = args.out or Path("runs/demo")
 
     def load() -> Chain:
         from hfb.flows.fit_image import fit_example
 
         return lambda ready: fit_example(out, config, ready)
 
-    result = through_prefect(given, out, load)
-    report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
+    result = through_prefect(args, out, load)
+    report(args, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
 
 
-def _synth(given: argparse.Namespace) -> None:
-    if given.set == "clip":
-        clips.synth_clip(given)
+def _synth(args: argparse.Namespace) -> None:
+    if args.set == "clip":
+        clips.synth_clip(args)
         return
-    if given.mp4:
+    if args.mp4:
         raise InputError("the cases of a set are pictures: leave --mp4 out, or take `hfb synth clip`")
-    spec = judging.set_spec(given, given.frames)
-    out, engine = given.out or Path("runs") / f"{given.set}-cases", engine_of(given.workers, given.store)
+    spec = judging.set_spec(args, args.frames)
+    out, engine = args.out or Path("runs") / f"{args.set}-cases", engine_of(args.workers, args.store)
 
     def load() -> Chain:
         from hfb.flows.benchmark import run_synthesis
 
-        return when_ready(lambda: run_synthesis(spec, given.count, out, engine))
+        return when_ready(lambda: run_synthesis(spec, args.count, out, engine))
 
-    result = through_prefect(given, out, load)
-    tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
-
-
-def _benchmark(given: argparse.Namespace) -> None:
-    out = given.out or Path("runs") / given.set
-    result = _run_benchmark(given, given.frames, out)
-    tell(given, result, judging.benchmark_text(result))
+    result = through_prefect(args, out, load)
+    tell(args, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
 
 
-def _reproduce(given: argparse.Namespace) -> None:
-    experiment_file(given.experiment)  # a misspelt name is told before anything is loaded
+def _benchmark(args: argparse.Namespace) -> None:
+    out = args.out or Path("runs") / args.set
+    result = _run_benchmark(args, args.frames, out)
+    tell(args, result, judging.benchmark_text(result))
+
+
+def _reproduce(args: argparse.Namespace) -> None:
+    experiment_file(args.experiment)  # a misspelt name is told before anything is loaded
     from hfb.evaluation.experiments import find_experiment
 
-    experiment = find_experiment(given.experiment)
-    given.set, given.fill = experiment.set, experiment.fill
-    given.count = given.count or experiment.count
-    given.methods = given.methods or ",".join(experiment.methods)
-    out = given.out or Path("runs") / given.experiment
-    result = _run_benchmark(given, experiment.frames, out, experiment)
-    tell(given, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
+    experiment = find_experiment(args.experiment)
+    args.set, args.fill = experiment.set, experiment.fill
+    args.count = args.count or experiment.count
+    args.methods = args.methods or ",".join(experiment.methods)
+    out = args.out or Path("runs") / args.experiment
+    result = _run_benchmark(args, experiment.frames, out, experiment)
+    tell(args, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
 
 
 def _run_benchmark(
-    given: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
+    args: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
 ) -> dict[str, Any]:
-    judging.methods_of(given)  # what is wrong is said before anything is loaded
-    judging.set_spec(given, frames)
-    engine = engine_of(given.workers, given.store)
+    judging.methods_of(args)  # what is wrong is said before anything is loaded
+    judging.set_spec(args, frames)
+    engine = engine_of(args.workers, args.store)
 
     def load() -> Chain:
         from hfb.flows.benchmark import run_benchmark
 
-        plan = judging.plan_of(given, frames)
+        plan = judging.plan_of(args, frames)
         return when_ready(lambda: run_benchmark(plan, out, engine, experiment))
 
-    return through_prefect(given, out, load)
+    return through_prefect(args, out, load)
 
 
-def _train(given: argparse.Namespace) -> None:
-    kind, is_prior, _ = given.name.partition("-prior")
+def _train(args: argparse.Namespace) -> None:
+    kind, is_prior, _ = args.name.partition("-prior")
     if is_prior:
-        prior = _parse(["train-prior", "--kind", kind, *given.options])
+        prior = _parse(["train-prior", "--kind", kind, *args.options])
         return prior.run(prior)
-    return training.run_program(given)
+    return training.run_program(args)
 
 
-def _train_prior(given: argparse.Namespace) -> None:
-    out = given.out or training.DEFAULT_OUT[given.kind]
+def _train_prior(args: argparse.Namespace) -> None:
+    out = args.out or training.DEFAULT_OUT[args.kind]
 
     def load() -> Chain:
         from hfb.flows.train_prior import train_prior
 
-        plan = training.plan_of(given)
+        plan = training.plan_of(args)
         return when_ready(lambda: train_prior(plan, out))
 
-    result = through_prefect(given, out.parent, load)
-    tell(given, result, training.training_text(result))
+    result = through_prefect(args, out.parent, load)
+    tell(args, result, training.training_text(result))
 
 
 def _complain(message: str, as_json: bool, code: int) -> int:

@@ -12,6 +12,7 @@ from hfb.errors import InputError
 from hfb.flows.cli.judging import add_worker_flags, positive
 from hfb.flows.cli.options import run_config
 from hfb.flows.runtime.session import Chain, open_session, tell, through_prefect, when_ready
+from hfb.flows.runtime.summary import figure_text
 from hfb.tasks.batch.notifications import FORMS, VARIABLE, addresses_of, enable_notifications
 from hfb.tasks.inputs.out_place import check_batch_out, default_out
 from hfb.tasks.workers.engine import engine_of
@@ -89,18 +90,18 @@ def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
     add_worker_flags(parser)
 
 
-def video(given: argparse.Namespace) -> None:
+def video(args: argparse.Namespace) -> None:
     """Run `hfb video`.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
     from hfb.tasks.inputs.video_inputs import take_video_inputs
 
-    config, engine = run_config(given), engine_of(given.workers, given.store)
-    out = given.out or default_out(given.source)
+    config, engine = run_config(args), engine_of(args.workers, args.store)
+    out = args.out or default_out(args.source)
     inputs = take_video_inputs(
-        given.source, config, given.clip, given.background, truth=given.truth, everyone=given.everyone, out=out
+        args.source, config, args.clip, args.background, truth=args.truth, everyone=args.everyone, out=out
     )
 
     def load() -> Chain:
@@ -108,26 +109,26 @@ def video(given: argparse.Namespace) -> None:
 
         return when_ready(lambda: run_clip(inputs, out, config, engine))
 
-    result = through_prefect(given, out, load)
-    result["total_seconds"] = round(time.perf_counter() - given.began, 3)
-    shown = {key: result.get(key) for key in VIDEO_KEYS} if given.json else result
-    tell(given, shown, "" if given.json else video_text(result))
+    result = through_prefect(args, out, load)
+    result["total_seconds"] = round(time.perf_counter() - args.began, 3)
+    shown = {key: result.get(key) for key in VIDEO_KEYS} if args.json else result
+    tell(args, shown, "" if args.json else video_text(result))
 
 
-def batch(given: argparse.Namespace) -> int:
+def batch(args: argparse.Namespace) -> int:
     """Run `hfb batch`; returns 1 where a clip has no result, as for other failures.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
     from hfb.tasks.inputs.clip_places import find_clips
 
-    config = run_config(given)
-    engine_of(given.workers, given.store)  # what is wrong with it is said at once
-    out = given.out or default_out(given.folder)
-    check_batch_out(given.folder, out)
-    find_clips(given.folder, out)  # a folder that is none is said at once
-    addresses = addresses_of(given.notify)
+    config = run_config(args)
+    engine_of(args.workers, args.store)  # what is wrong with it is said at once
+    out = args.out or default_out(args.folder)
+    check_batch_out(args.folder, out)
+    find_clips(args.folder, out)  # a folder that is none is said at once
+    addresses = addresses_of(args.notify)
 
     def load() -> Chain:
         from hfb.flows.batch import batch as every_clip
@@ -135,51 +136,49 @@ def batch(given: argparse.Namespace) -> int:
         options = config.model_dump(mode="json")
         return when_ready(
             lambda: every_clip(
-                given.folder,
+                args.folder,
                 out,
                 options,
-                workers=given.workers,
-                attempts=given.attempts,
-                wait_s=given.wait,
-                watch_s=given.watch,
-                again=given.again,
-                store=given.store,
+                workers=args.workers,
+                attempts=args.attempts,
+                wait_s=args.wait,
+                watch_s=args.watch,
+                again=args.again,
+                store=args.store,
             )
         )
 
     with enable_notifications(addresses):
-        result = through_prefect(given, out, load)
-    tell(given, result, batch_text(result))
+        result = through_prefect(args, out, load)
+    tell(args, result, batch_text(result))
     return int(result["done"] < result["clips"])
 
 
-def synth_clip(given: argparse.Namespace) -> None:
+def synth_clip(args: argparse.Namespace) -> None:
     """Run `hfb synth clip`: write a blurred clip of a built-in motion, its plate, clip.toml and truth.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
 
     Raises:
         InputError: an option is for the cases of a set.
     """
-    flags = [word.partition("=")[0] for word in given.words if word.startswith("--")]
+    flags = [word.partition("=")[0] for word in args.words if word.startswith("--")]
     if other := next((flag for flag in flags if flag not in _OF_A_SYNTHETIC_CLIP), None):
         raise InputError(f"`hfb synth clip` makes one clip, and {other} is for the cases of a set: leave it out")
-    out = given.out or Path("runs/clip")
-    with open_session(given, out, recorded=False):
+    out = args.out or Path("runs/clip")
+    with open_session(args, out, recorded=False):
         from hfb.tasks.telemetry import progress
 
         with progress.step("libraries"):
             from hfb.datasets.synthetic.clip_making import make_clip
-        wide = 640 if given.size is None else given.size
-        even = 2 if given.mp4 else 1  # H.264 takes no odd number of pixels
+        wide = 640 if args.size is None else args.size
+        even = 2 if args.mp4 else 1  # H.264 takes no odd number of pixels
         height, width = (even * round(side / even) for side in (0.75 * wide, wide))
         with progress.step("frames"):
-            made = make_clip(
-                out, given.frames, height, width, given.seed, video=given.mp4, on_progress=progress.advance
-            )
-    result = {"frames": given.frames, "out": str(out.resolve()), "source": str(made.source), "truth": str(made.truth)}
-    tell(given, result, f"{given.frames} frames with their truth in {out}: hfb video {out} --truth {made.truth}")
+            made = make_clip(out, args.frames, height, width, args.seed, video=args.mp4, on_progress=progress.advance)
+    result = {"frames": args.frames, "out": str(out.resolve()), "source": str(made.source), "truth": str(made.truth)}
+    tell(args, result, f"{args.frames} frames with their truth in {out}: hfb video {out} --truth {made.truth}")
 
 
 def video_text(result: Mapping[str, Any]) -> str:
@@ -195,10 +194,10 @@ def video_text(result: Mapping[str, Any]) -> str:
         ("frames", f"{result['frames']} ({result['resumed_frames']} from an earlier start)"),
         ("sub-frames", str(result["sub_frames"])),
         ("gaps", gaps),
-        ("IoU with the matte", _shown(result.get("matte_iou"), ".3f")),
-        ("image PSNR [dB]", _shown(result.get("psnr_db"), ".1f")),
-        ("MPJPE [mm]", _shown(result.get("mpjpe_mm"), ".1f")),
-        ("jump at an edge [mm]", _shown(result.get("worst_jump_mm"), ".2f")),
+        ("IoU with the matte", figure_text(result.get("matte_iou"), ".3f")),
+        ("image PSNR [dB]", figure_text(result.get("psnr_db"), ".1f")),
+        ("MPJPE [mm]", figure_text(result.get("mpjpe_mm"), ".1f")),
+        ("jump at an edge [mm]", figure_text(result.get("worst_jump_mm"), ".2f")),
         ("seconds", f"{result['seconds']:.1f}   ({result['seconds'] / result['frames']:.2f} per frame)"),
     ]
     lines = ["", *(f"{name:<24}{value}" for name, value in rows if value != "-"), ""]
@@ -210,7 +209,9 @@ def _people_text(result: Mapping[str, Any]) -> str:
     """Return a line per person."""
     lines = [""]
     for one in result["people"]:
-        told = one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {_shown(one['matte_iou'], '.3f')}"
+        told = (
+            one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {figure_text(one['matte_iou'], '.3f')}"
+        )
         lines.append(f"{one['name']:<16}seen in {one['seen']} frames; {told}; {one['out']}")
     return "\n".join([*lines, "", f"result   {result['out']}"])
 
@@ -223,7 +224,3 @@ def batch_text(result: Mapping[str, Any]) -> str:
     """
     counts = f"{result['done']} of {result['clips']} clips done, {result['set_aside']} set aside"
     return f"\n{counts}\npage     {result['page']}\nresult   {result['out']}"
-
-
-def _shown(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)

@@ -13,6 +13,7 @@ from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import METHOD_NAMES, MethodSpec, method_spec
+from hfb.flows.runtime.summary import figure_text
 from hfb.io.toml_file import to_record
 
 if TYPE_CHECKING:
@@ -99,25 +100,25 @@ def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> No
     )
 
 
-def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
+def set_spec(args: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
     """Return the set that the options describe.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         frames: blurred frames per case.
 
     Raises:
         InputError: a set of real video without videos, or a number that no set takes.
     """
-    size = {} if given.size is None else {"size_px": given.size}
-    if given.set in _REAL:
-        if not given.videos:
-            raise InputError(f"{given.set} is made from real video: give a folder with --videos DIR")
-        average = given.average or (_REAL_AVERAGES if given.set == "real" else (9,))
-        content = {"set": given.set, "videos": given.videos, "average": average} | size
-        return to_record(RealSpec, content | {"frames": frames, "seed": given.seed}, "options")
+    size = {} if args.size is None else {"size_px": args.size}
+    if args.set in _REAL:
+        if not args.videos:
+            raise InputError(f"{args.set} is made from real video: give a folder with --videos DIR")
+        average = args.average or (_REAL_AVERAGES if args.set == "real" else (9,))
+        content = {"set": args.set, "videos": args.videos, "average": average} | size
+        return to_record(RealSpec, content | {"frames": frames, "seed": args.seed}, "options")
     names = ("set", "seed", "fill", "easy", "motions", "backgrounds", "textures", "body")
-    content = {name: getattr(given, name) for name in names}
+    content = {name: getattr(args, name) for name in names}
     return to_record(SetSpec, content | size | {"frames": frames}, "options")
 
 
@@ -137,36 +138,36 @@ def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
     return tuple(method_spec(name, chains) for name in names)
 
 
-def methods_of(given: argparse.Namespace) -> tuple[MethodSpec, ...]:
+def methods_of(args: argparse.Namespace) -> tuple[MethodSpec, ...]:
     """Return the methods that the options name, or those of the set.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
 
     Raises:
         InputError: an unknown name; the sentence lists the known ones.
     """
-    suitable = _REAL_METHODS if given.set == "real" else _DEFAULT_METHODS
-    return method_specs(suitable if given.methods is None else given.methods, given.chains)
+    suitable = _REAL_METHODS if args.set == "real" else _DEFAULT_METHODS
+    return method_specs(suitable if args.methods is None else args.methods, args.chains)
 
 
-def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
+def plan_of(args: argparse.Namespace, frames: int) -> BenchmarkPlan:
     """Return everything that decides a benchmark's figures.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         frames: blurred frames per case.
     """
     from hfb.flows.benchmark import BenchmarkPlan
 
-    start = given.start or ("estimated" if given.set in _REAL else "simulated")
+    start = args.start or ("estimated" if args.set in _REAL else "simulated")
     return BenchmarkPlan(
-        spec=set_spec(given, frames),
-        count=given.count,
-        methods=methods_of(given),
+        spec=set_spec(args, frames),
+        count=args.count,
+        methods=methods_of(args),
         start=start,
         init=InitConfig(),
-        body=given.body,
+        body=args.body,
     )
 
 
@@ -182,10 +183,9 @@ def benchmark_text(result: Mapping[str, Any]) -> str:
         interval = cell["ratio_ci95"]
         low_high = f"[{interval[0]:.2f}, {interval[1]:.2f}]" if interval else "-"
         of = cell["n_pose"] if interval else cell["n"]
-        share = "-" if cell["better_than_start"] is None else f"{cell['better_than_start']:.0%}"
+        share, iou = figure_text(cell["better_than_start"], ".0%"), figure_text(cell["iou"], ".3f")
         numbers = ((cell["initial_mpjpe_mm"], ".1f", 9), (cell["mpjpe_mm"], ".1f", 9), (cell["ratio"], ".3f", 8))
-        text = "".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in numbers)
-        iou = "-" if cell["iou"] is None else f"{cell['iou']:.3f}"
+        text = "".join(f"{figure_text(value, form):>{width}}" for value, form, width in numbers)
         lines.append(f"{name:<24}{of:>5}{text}   {low_high:<14}{iou:>6}{share:>8}")
     lines += ["", f"cases    {result['count']} ({result['skipped']} left out)", f"page     {result['page']}"]
     lines += [f"result   {result['out']}"]

@@ -31,45 +31,45 @@ def add_models_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="fetch again what is there")
 
 
-def models(given: argparse.Namespace) -> None:
+def models(args: argparse.Namespace) -> None:
     """Run `hfb models`: list usable networks and files, or fetch missing ones.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
     from hfb.networks.fetch import fetch_networks
     from hfb.networks.mediapipe_files import list_networks
     from hfb.networks.registry import list_models
 
-    if given.out is not None:
-        os.environ["HFB_MODELS_DIR"] = str(given.out)
+    if args.out is not None:
+        os.environ["HFB_MODELS_DIR"] = str(args.out)
 
-    if given.files and given.action != "fetch":
+    if args.files and args.action != "fetch":
         raise InputError("--from goes with `hfb models fetch`")
-    if given.action == "fetch":
+    if args.action == "fetch":
         from hfb.tasks.telemetry import displays, progress
 
-        with progress.showing(displays.display_for(quiet=given.quiet)), progress.step("pose networks"):
-            networks = fetch_networks(progress.say, given.files, given.force)
+        with progress.showing(*displays.displays_for(quiet=args.quiet)), progress.step("pose networks"):
+            networks = fetch_networks(progress.say, args.files, args.force)
     else:
         networks = list_networks()
-    if given.json:
+    if args.json:
         known = [model.as_dict() for model in list_models()]
         print(json.dumps({"networks": [network.as_dict() for network in networks], "models": known}))
-    elif not given.quiet:
+    elif not args.quiet:
         print(summary.models_text(list_models()))
 
 
-def runs(given: argparse.Namespace) -> None:
+def runs(args: argparse.Namespace) -> None:
     """Run `hfb runs`: this process becomes the server of MLflow's pages.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
     from hfb.tasks.tracking.store_place import SMALL_SERVER, pages_command
 
-    command = pages_command(given.port)
-    url = f"http://127.0.0.1:{given.port}"
-    print(json.dumps({"url": url, "command": command}) if given.json else f"{url}  (Ctrl-C ends it)", flush=True)
+    command = pages_command(args.port)
+    url = f"http://127.0.0.1:{args.port}"
+    print(json.dumps({"url": url, "command": command}) if args.json else f"{url}  (Ctrl-C ends it)", flush=True)
     os.dup2(2, 1)  # the server's own lines are not results
     os.execve(command[0], command, {**os.environ, **SMALL_SERVER})

@@ -104,20 +104,20 @@ class _Short(argparse.Action):
         setattr(namespace, f"{_PREFIX}{room}.{key or 'method'}", values)
 
 
-def run_config(given: argparse.Namespace) -> RunConfig:
+def run_config(args: argparse.Namespace) -> RunConfig:
     """Return the configuration from flags, --config file and preset.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
 
     Raises:
         InputError: an unknown key or an impossible value, named with where it came from.
     """
-    path: Path | None = given.config
+    path: Path | None = args.config
     from_file = _checked(read_toml(path), str(path)) if path else {}
-    from_flags = _nest({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
-    if "weights" in given:
-        from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": given.weights}})
+    from_flags = _nest({key: value for key, value in vars(args).items() if key.startswith(_PREFIX)})
+    if "weights" in args:
+        from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": args.weights}})
     from_flags = _checked(from_flags, "options")
     name = from_flags.get("preset", from_file.get("preset", _DEFAULT_PRESET))
     content = merged(merged(preset(name).model_dump(), from_file), from_flags)

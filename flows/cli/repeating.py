@@ -54,24 +54,24 @@ def add_compare_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("more", nargs="*", metavar="RUN_C", help="and others")
 
 
-def rerun(given: argparse.Namespace) -> int:
+def rerun(args: argparse.Namespace) -> int:
     """Run `hfb rerun`; returns the exit code.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
-    if given.seed is not None:
+    if args.seed is not None:
         raise InputError("a repetition keeps its run's seed: leave --seed out")
-    options = _named(given.option)
+    options = _named(args.option)
 
     def load() -> Chain:
         from hfb.flows.rerun import plan_rerun, repeat
 
-        plan = plan_rerun(given.run_id, given.inputs, given.out, workers=given.workers, options=options)
+        plan = plan_rerun(args.run_id, args.inputs, args.out, workers=args.workers, options=options)
         return when_ready(lambda: repeat(plan))
 
-    verdict = through_prefect(given, given.out or Path("runs"), load)
-    tell(given, verdict, rerun_text(verdict))
+    verdict = through_prefect(args, args.out or Path("runs"), load)
+    tell(args, verdict, rerun_text(verdict))
     return 0 if verdict["bit_equal"] else DIFFERS
 
 
@@ -84,17 +84,17 @@ def _named(options: Sequence[str]) -> dict[str, str]:
     return {name.removeprefix("--").replace("-", "_"): value for name, _, value in split}
 
 
-def compare(given: argparse.Namespace) -> None:
+def compare(args: argparse.Namespace) -> None:
     """Run `hfb compare`.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
-    with open_session(given, given.out or Path("runs")):
+    with open_session(args, args.out or Path("runs")):
         with libraries():
             from hfb.flows.compare import compare_runs
-        result = compare_runs((given.run_a, given.run_b, *given.more), given.out)
-    tell(given, result, compare_text(result))
+        result = compare_runs((args.run_a, args.run_b, *args.more), args.out)
+    tell(args, result, compare_text(result))
 
 
 def rerun_text(verdict: Mapping[str, Any]) -> str:

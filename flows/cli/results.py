@@ -33,22 +33,22 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
     add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")
 
 
-def export(given: argparse.Namespace) -> None:
+def export(args: argparse.Namespace) -> None:
     """Run `hfb export`.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
-    films = parse_films(given.films)
-    formats, meshes = parse_formats(given.formats) if given.formats or not films else ((), ())
-    with open_session(given, given.out or output_folder_of(given.source), recorded=False):
+    films = parse_films(args.films)
+    formats, meshes = parse_formats(args.formats) if args.formats or not films else ((), ())
+    with open_session(args, args.out or output_folder_of(args.source), recorded=False):
         with libraries():
             from hfb.flows.export import export_result
-        rate = given.amass_rate or _RATE
+        rate = args.amass_rate or _RATE
         result = export_result(
-            given.source, given.out, formats, meshes, body=given.body, amass_rate=rate, films=films, inputs=given.inputs
+            args.source, args.out, formats, meshes, body=args.body, amass_rate=rate, films=films, inputs=args.inputs
         )
-    tell(given, result, export_text(result))
+    tell(args, result, export_text(result))
 
 
 def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...]]:
@@ -113,17 +113,17 @@ def add_report_flags(parser: argparse.ArgumentParser) -> None:
     add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")
 
 
-def report_result(given: argparse.Namespace) -> None:
+def report_result(args: argparse.Namespace) -> None:
     """Run `hfb report`.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
-    with open_session(given, given.out or output_folder_of(given.source), recorded=False):
+    with open_session(args, args.out or output_folder_of(args.source), recorded=False):
         with libraries():
             from hfb.flows.report import make_report
-        result = make_report(given.source, given.out, given.body, given.inputs)
-    tell(given, result, report_text(result))
+        result = make_report(args.source, args.out, args.body, args.inputs)
+    tell(args, result, report_text(result))
 
 
 def report_text(result: Mapping[str, Any]) -> str:
@@ -146,20 +146,20 @@ def add_record_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", type=Path, metavar="RESULT", help="the folder of a finished result")
 
 
-def record_result(given: argparse.Namespace) -> None:
+def record_result(args: argparse.Namespace) -> None:
     """Run `hfb record`.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
-    with open_session(given, given.source):
+    with open_session(args, args.source):
         with libraries():
             from hfb.flows.record import record_folder
             from hfb.tasks.tracking import tracking
 
             tracking.open_store()
-        result = record_folder(given.source)
-    tell(given, result, record_text(result))
+        result = record_folder(args.source)
+    tell(args, result, record_text(result))
 
 
 def record_text(result: Mapping[str, Any]) -> str:

@@ -64,34 +64,34 @@ def add_program_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTION", help="options of the program")
 
 
-def run_program(given: argparse.Namespace) -> None:
+def run_program(args: argparse.Namespace) -> None:
     """Run a program of `hfb.training` with its own options.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
     """
-    program = PROGRAMS[given.name].load()
-    summary = PROGRAMS[given.name].summary
-    parser = type(given.command)(f"hfb train {given.name}", description=summary, allow_abbrev=False)
+    program = PROGRAMS[args.name].load()
+    summary = PROGRAMS[args.name].summary
+    parser = type(args.command)(f"hfb train {args.name}", description=summary, allow_abbrev=False)
     program.add_flags(parser)
-    program.run(parser.parse_args(given.options))
+    program.run(parser.parse_args(args.options))
 
 
-def plan_of(given: argparse.Namespace) -> TrainingPlan:
+def plan_of(args: argparse.Namespace) -> TrainingPlan:
     """Return the plan that the options describe.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
 
     Raises:
         InputError: a number that no training takes.
     """
     from hfb.flows.train_prior import TrainingPlan
 
-    content: dict[str, Any] = {"motions": given.motions, "kind": given.kind, "seed": given.seed}
-    content |= {"tests": given.test, "held_out": given.held_out}
-    if given.epochs is not None:
-        content[given.kind] = {"epochs": given.epochs}
+    content: dict[str, Any] = {"motions": args.motions, "kind": args.kind, "seed": args.seed}
+    content |= {"tests": args.test, "held_out": args.held_out}
+    if args.epochs is not None:
+        content[args.kind] = {"epochs": args.epochs}
     return to_record(TrainingPlan, content, "options")
 
 

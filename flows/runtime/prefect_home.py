@@ -29,11 +29,11 @@ def use_own_home() -> None:
     """
     with suppress(RuntimeError):  # no home folder is known: `check_home` says so
         default = platformdirs.user_state_path("hfb") / "prefect"
-        given = Path(os.environ[_HOME]).expanduser().absolute() if os.environ.get(_HOME) else None
-        if given is None or (given != default and given.name != _OWN):
-            users = given or Path(_USERS_HOME).expanduser()
+        configured = Path(os.environ[_HOME]).expanduser().absolute() if os.environ.get(_HOME) else None
+        if configured is None or (configured != default and configured.name != _OWN):
+            users = configured or Path(_USERS_HOME).expanduser()
             os.environ[_PROFILES] = os.environ.get(_PROFILES) or str(users / "profiles.toml")
-            os.environ[_HOME] = str(default if given is None else given / _OWN)
+            os.environ[_HOME] = str(default if configured is None else configured / _OWN)
 
 
 def check_home() -> None:

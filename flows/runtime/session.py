@@ -20,15 +20,15 @@ Chain = Callable[[Callable[[], None]], dict[str, Any]]
 """A command's computation; it calls its argument before it needs the server."""
 
 
-def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
+def through_prefect(args: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
     """Start the server, import the method meanwhile, then run the chain.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         out: where the results go.
         load: imports the method and returns its chain.
     """
-    with open_session(given, out):
+    with open_session(args, out):
         from hfb.tasks.telemetry import progress
 
         with libraries():
@@ -53,11 +53,11 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
 
 
 @contextmanager
-def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
+def open_session(args: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
     """Set up a log, a writable folder, a store that answers (where one is needed), and a display inside the block.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         out: where the results go.
         recorded: whether the command needs the store.
     """
@@ -68,13 +68,13 @@ def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) ->
     from hfb.tasks.telemetry import displays, progress
     from hfb.tasks.tracking.store_place import check_store, tracking_uri
 
-    keep_log(given.verbose)
+    keep_log(args.verbose)
     check_writable(out)
     check_api_url()
     if recorded:
         check_store(tracking_uri())
     remark = make_home()
-    with serve_metrics(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
+    with serve_metrics(), progress.showing(*displays.displays_for(quiet=args.quiet)), results_alone_on_stdout():
         if remark:
             progress.say(f"hfb: {remark}")
         yield
@@ -145,35 +145,35 @@ def when_ready(work: Callable[[], dict[str, Any]]) -> Chain:
     return chain
 
 
-def tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
+def tell(args: argparse.Namespace, result: dict[str, Any], text: str) -> None:
     """Print the result as JSON, or as text.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         result: content of the JSON.
         text: for people.
     """
-    if given.json:
+    if args.json:
         print(json.dumps(hidden_in(result)))
-    elif not given.quiet:
+    elif not args.quiet:
         print(without_secrets(text))
 
 
 def report(
-    given: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
+    args: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
 ) -> None:
     """Print the chosen keys as JSON, or a table of scores, times and places.
 
     Args:
-        given: the parsed options.
+        args: the parsed options.
         result: the content of result.json.
         keys: that --json prints.
         rows: of the table.
     """
-    result = {**result, "total_seconds": round(time.perf_counter() - given.began, 3)}
-    if given.json:
+    result = {**result, "total_seconds": round(time.perf_counter() - args.began, 3)}
+    if args.json:
         print(json.dumps(hidden_in({key: result.get(key) for key in keys})))
-    elif not given.quiet:
+    elif not args.quiet:
         from hfb.tasks.tracking.store_place import on_server, tracking_uri
 
         local = not on_server(tracking_uri())

@@ -21,6 +21,16 @@ def number_text(value: float | None) -> str:
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
+def figure_text(value: float | None, form: str) -> str:
+    """Return a figure as displayed, a dash where it is not known.
+
+    Args:
+        value: the figure.
+        form: format specification.
+    """
+    return "-" if value is None else format(value, form)
+
+
 class Row(NamedTuple):
     """One line of the table: label and key of a score, and its format."""
 
@@ -66,7 +76,7 @@ def text(result: Mapping[str, Any], rows: tuple[Row, ...], hint: str | None) -> 
     """
     lines = ["", f"{'':<20}{'initial':>10}{'fitted':>10}"]
     for label, key, form in rows:
-        cells = (_cell(result.get(name), form) for name in (f"initial_{key}", key))
+        cells = (figure_text(result.get(name), form) for name in (f"initial_{key}", key))
         lines.append(f"{label:<20}" + "".join(f"{cell:>10}" for cell in cells))
     lines += [
         f"{'seconds':<20}{'':>10}{result['fit_seconds']:>10.1f}   (the whole command {result['total_seconds']:.1f})",
@@ -96,7 +106,3 @@ def models_text(models: Sequence[KnownModel]) -> str:
             f"{state[model.present]}  [{model.licence}]", 110, initial_indent="    ", subsequent_indent="    "
         )
     return "\n".join(lines)
-
-
-def _cell(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)

@@ -42,8 +42,8 @@ class FixedConfiguration(BaseJobConfiguration):
             client: of Prefect's server; ignored.
         """
         beat = (base_job_template.get("job_configuration", {}).get("env") or {}).get(BEAT)
-        given = isinstance(beat, str) and beat.isdecimal() and int(beat) >= _SHORTEST_BEAT_S
-        return cls(env={BEAT: beat} if given else {})
+        is_valid = isinstance(beat, str) and beat.isdecimal() and int(beat) >= _SHORTEST_BEAT_S
+        return cls(env={BEAT: beat} if is_valid else {})
 
 
 class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult]):

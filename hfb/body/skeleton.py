@@ -42,9 +42,6 @@ BONES: tuple[tuple[int, int], ...] = tuple((parent, child) for child, parent in 
 MIRROR: tuple[int, ...] = (0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22)
 """``MIRROR[j]`` is the joint on the other side of the body; joints of the spine mirror themselves."""
 
-MIRROR_PAIRS: tuple[tuple[int, int], ...] = tuple((left, right) for left, right in enumerate(MIRROR) if left < right)
-"""(left, right) joints."""
-
 H36M_14: tuple[int, ...] = (8, 5, 2, 1, 4, 7, 21, 19, 17, 16, 18, 20, 12, 15)
 """The 14 joints that Human3.6M-style protocols evaluate, as SMPL joints, in their usual order: right ankle, knee, hip,
 left hip, knee, ankle, right wrist, elbow, shoulder, left shoulder, elbow, wrist, neck, head. SMPL's own joints stand

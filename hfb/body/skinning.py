@@ -116,9 +116,7 @@ def skin(
     return (blended[..., :3] * points[..., None, :]).sum(-1) + blended[..., 3]
 
 
-def sparse_weights(
-    weights: Float[Tensor, "V 24"],
-) -> tuple[Int[Tensor, "V1"], Int[Tensor, "n"], Float[Tensor, "n"]]:
+def sparse_weights(weights: Float[Tensor, "V 24"]) -> tuple[Int[Tensor, "V1"], Int[Tensor, "n"], Float[Tensor, "n"]]:
     """Return (starts, joints, weights): vertex v has the joints joints[starts[v]:starts[v + 1]] with these weights.
 
     Args:

@@ -108,13 +108,13 @@ def _floats(path: Path, arrays: Arrays, name: str, shape: tuple[int, ...]) -> Fl
 
 def _shape_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Array, "V 3 10"]:
     """Return the first ten shape directions; files have 10, 16 or 300 by falling variance."""
-    given = arrays["shapedirs"]
-    if given.ndim != 3 or given.shape[2] < SHAPE_COUNT:
+    array = arrays["shapedirs"]
+    if array.ndim != 3 or array.shape[2] < SHAPE_COUNT:
         raise InputError(
-            f"{path} is not a SMPL model: shapedirs has the shape {given.shape}, "
+            f"{path} is not a SMPL model: shapedirs has the shape {array.shape}, "
             f"not ({vertex_count}, 3, {SHAPE_COUNT} or more); {_FIX}."
         )
-    arrays = {"shapedirs": given[:, :, :SHAPE_COUNT]}
+    arrays = {"shapedirs": array[:, :, :SHAPE_COUNT]}
     return np.ascontiguousarray(_floats(path, arrays, "shapedirs", (vertex_count, 3, SHAPE_COUNT)))
 
 
@@ -149,10 +149,10 @@ def _surface(
     return np.concatenate([faces, filling]), uv, np.concatenate([uv_faces, fan_corners(filling, faces, uv_faces)])
 
 
-def _indices(path: Path, name: str, given: Shaped[Array, "..."], count: int) -> Int[Array, "F 3"]:
-    if given.ndim != 2 or given.shape[1] != 3 or not len(given) or given.dtype.kind not in "iu":
+def _indices(path: Path, name: str, array: Shaped[Array, "..."], count: int) -> Int[Array, "F 3"]:
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array) or array.dtype.kind not in "iu":
         raise InputError(f"{path} is not a SMPL model: {name} is no list of triangles; {_FIX}.")
-    indices = given.astype(np.int64)
+    indices = array.astype(np.int64)
     if indices.min() < 0 or indices.max() >= count:
         raise InputError(f"{path} is damaged: {name} points outside its {count} vertices; {_FIX}.")
     return indices

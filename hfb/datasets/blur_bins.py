@@ -89,16 +89,3 @@ def wanted_interval(
         return bins[0][0], bins[-1][1]
     counts = paper_counts(name, frames) if fill == "paper" else (1,) * len(bins)
     return bins[bin_of_case(number, counts)]
-
-
-def interval_of(blur_rate: float, bins: Sequence[Interval]) -> int | None:
-    """Return the interval that contains a blur rate, its lower end included; None outside of all.
-
-    Args:
-        blur_rate: blur rate of the case.
-        bins: intervals, ascending.
-    """
-    for index, (low, high) in enumerate(bins):
-        if low <= blur_rate < high:
-            return index
-    return None

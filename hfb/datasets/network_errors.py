@@ -39,15 +39,8 @@ _SIZES = {
     "hand": 0.2,
 }
 _LIMBS = {
-    "hip": "leg",
-    "knee": "leg",
-    "ankle": "leg",
-    "foot": "leg",
-    "collar": "arm",
-    "shoulder": "arm",
-    "elbow": "arm",
-    "wrist": "arm",
-    "hand": "arm",
+    **dict.fromkeys(("hip", "knee", "ankle", "foot"), "leg"),
+    **dict.fromkeys(("collar", "shoulder", "elbow", "wrist", "hand"), "arm"),
 }
 
 

@@ -76,9 +76,9 @@ def fit_confidence(
         k, log_ratio = np.exp(log_k), error - constant - scaled @ slopes
         power = np.log(2) * np.exp(np.clip(k * log_ratio, -50, 50))
         value = weight @ (power - k * log_ratio) - len(cases) * log_k + _RIDGE / 2 * np.square(slopes - pulled_to).sum()
-        pull = weight * k * (1 - power)
+        gradient = weight * k * (1 - power)
         of_k = weight @ ((power - 1) * log_ratio) * k - len(cases)
-        return float(value), np.concatenate([[of_k, pull.sum()], pull @ scaled + _RIDGE * (slopes - pulled_to)])
+        return float(value), np.concatenate([[of_k, gradient.sum()], gradient @ scaled + _RIDGE * (slopes - pulled_to)])
 
     log_exponent = 0.5 if exponent is None else float(np.log(exponent))
     start = np.concatenate([[log_exponent, np.median(error)], pulled_to])

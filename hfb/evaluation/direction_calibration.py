@@ -72,8 +72,8 @@ def direction_events(
     for frame in range(frames):
         rows = alternatives.frame_index == frame
         signs = signs_of(features, rows)
-        asked = [(agrees[frame], not wrong[frame], True)]
-        asked += [
+        queries = [(agrees[frame], not wrong[frame], True)]
+        queries += [
             (
                 alternatives.agrees(alternatives.joints, limb)[frame],
                 _right(joints[rows][:, list(limb)], true[rows][:, list(limb)]),
@@ -81,7 +81,7 @@ def direction_events(
             )
             for limb in LIMB_JOINTS
         ]
-        for answers, right, whole in asked:
+        for answers, right, whole in queries:
             if np.isfinite(answers).all():
                 yield DirectionEvent(
                     person, alternatives.probability, grouped, answers, bool(right), whole, sure[frame], signs, frames
@@ -94,7 +94,7 @@ def _right(path: Float[Array, "S J 3"], true: Float[Array, "S J 3"]) -> bool:
     return bool(np.linalg.norm(here - there, axis=-1).sum() <= np.linalg.norm(here[::-1] - there, axis=-1).sum())
 
 
-class _Asked:
+class _Queries:
     """Many events as arrays.
 
     Attributes:
@@ -111,9 +111,9 @@ class _Asked:
         self._body_right = np.array([event.body_right for event in events])
         self.right = np.array([event.right for event in events], bool)
 
-    def said(self, doubts: Float[Array, "n"]) -> Float[Array, "n"]:
+    def said(self, discounts: Float[Array, "n"]) -> Float[Array, "n"]:
         """Return P(the result is right), where evidence has to exceed these doubts."""
-        probability = temper(self._probability, self._grouped, power_of(self._body_right, doubts))
+        probability = temper(self._probability, self._grouped, power_of(self._body_right, discounts))
         return np.clip((self._agrees * probability).sum(1), _CERTAIN, 1 - _CERTAIN)
 
 
@@ -132,14 +132,14 @@ def fit_trust(events: Mapping[StartKind, Sequence[DirectionEvent]]) -> dict[Star
     typical, spread = table.mean(0), table.std(0) + 1e-9
     scaled = (table - typical) / spread
     weights = np.array([1.0 if one.whole else _LIMB_WEIGHT for one in every])
-    asked = _Asked(every)
+    queries = _Queries(every)
 
     def cost(numbers: Array) -> float:
         common, constants, slopes = numbers[0], numbers[1 : 1 + len(kinds)], numbers[1 + len(kinds) :]
-        doubts = np.maximum(0, constants[places] + scaled @ np.abs(slopes))
-        said = asked.said(doubts)
+        discounts = np.maximum(0, constants[places] + scaled @ np.abs(slopes))
+        said = queries.said(discounts)
         pulled = ((common - _COMMON) / _COMMON_SPREAD, *(constants - common) / _KINDS_APART, *slopes / _SLOPES)
-        return float(-weights @ np.log(np.where(asked.right, said, 1 - said)) + np.square(pulled).sum() / 2)
+        return float(-weights @ np.log(np.where(queries.right, said, 1 - said)) + np.square(pulled).sum() / 2)
 
     start = np.concatenate([np.full(1 + len(kinds), 0.2), np.full(len(SIGNS), 0.05)])
     found = minimize(cost, start, method="Powell", options={"xtol": 1e-3, "ftol": 1e-6}).x
@@ -158,8 +158,8 @@ def said_and_right(events: Sequence[DirectionEvent], trust: Trust | None) -> tup
     """
     if not events:
         return np.zeros(0), np.zeros(0, bool)
-    asked = _Asked(events)
-    return asked.said(np.array([trust.doubt(one.signs) if trust else 0.0 for one in events])), asked.right
+    queries = _Queries(events)
+    return queries.said(np.array([trust.discount(one.signs) if trust else 0.0 for one in events])), queries.right
 
 
 def reliability_groups(

@@ -59,10 +59,7 @@ def summarize(
             "bins": _per_bin(bins, [start_cell(within(starts, bins, index)) for index in range(len(bins))]),
         },
         "methods": {
-            name: {
-                "all": make_cell(cases),
-                "bins": _per_bin(bins, [make_cell(part) for part in binned[name]]),
-            }
+            name: {"all": make_cell(cases), "bins": _per_bin(bins, [make_cell(part) for part in binned[name]])}
             for name, cases in found.items()
         },
         **recording_cells(found),

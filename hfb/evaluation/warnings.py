@@ -73,10 +73,7 @@ class Look:
 
 
 def find_warnings(
-    looks: Sequence[Look],
-    plate_srgb: Float[Array, "H W 3"],
-    motion: SampledMotion,
-    matte_iou: Mapping[int, float],
+    looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"], motion: SampledMotion, matte_iou: Mapping[int, float]
 ) -> tuple[ResultWarning, ...]:
     """Run all checks on one result.
 

@@ -145,10 +145,7 @@ def in_units(joints: Float[Tensor, "*n 24 3"], lens: Float[Tensor, "*m 5"]) -> F
 
 
 def picture_channels(
-    frame_linear: Float[Array, "H W 3"],
-    plate_linear: Float[Array, "H W 3"],
-    matte: Float[Array, "H W"],
-    window: Window,
+    frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], matte: Float[Array, "H W"], window: Window
 ) -> Shaped[Array, "C h w"]:
     """Return the network's input channels: matte, frame, and difference from the plate; 8 bits.
 

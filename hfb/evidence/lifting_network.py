@@ -55,8 +55,8 @@ class LiftingNetwork(nn.Module):
         facts = torch.cat([joints, lengths[..., None], left[..., None]], -1).flatten(2)
         facts = torch.cat([facts, perspective[..., None]], -1).flatten(1)
         told = self.leave(self.blocks(self.enter(_INPUT_SCALE * facts))).unflatten(1, (JOINT_COUNT, 6))
-        given = torch.cat([across[:, 0], start[:, 0, :, 2:]], -1)
-        return given + _OUTPUT_SCALE * told[..., :3], (told[..., 3:] - 3).clamp(-7, 1)
+        guess = torch.cat([across[:, 0], start[:, 0, :, 2:]], -1)
+        return guess + _OUTPUT_SCALE * told[..., :3], (told[..., 3:] - 3).clamp(-7, 1)
 
 
 def _left_for_depth(

@@ -133,8 +133,8 @@ def direction_record(alternatives: Alternatives) -> list[Record]:
 
     everything = np.column_stack([alternatives.body_right(), alternatives.limb_right()])
     return [
-        {"right": numbers(("body", *LIMB_NAMES), row), "given_body": numbers(LIMB_NAMES, given)}
-        for row, given in zip(everything, alternatives.limb_right_given_body(), strict=True)
+        {"right": numbers(("body", *LIMB_NAMES), row), "given_body": numbers(LIMB_NAMES, limbs)}
+        for row, limbs in zip(everything, alternatives.limb_right_given_body(), strict=True)
     ]
 
 

@@ -1,13 +1,13 @@
 """Calibration of the odds of directions by the kind of start and by signs of trouble.
 
 The odds of `hfb.fitting.direction_odds` were measured on fits that began near the truth. Either the motion prior knows
-a motion, and is right, or it does not, and leans to one side by chance. So evidence has to overcome a doubt first: with
+a motion, and is right, or it does not, and leans to one side by chance. So evidence has to overcome a discount: with
 L the log odds that the body moved the way the result says, the probability p of every hypothesis becomes
 
-    p P^(k - 1) / norm,    k = max(0, 1 - doubt / L),    doubt = max(0, b_0 + sum_i b_i (f_i - typical_i) / spread_i),
+    p P^(k - 1) / norm,  k = max(0, 1 - discount / L),  discount = max(0, b_0 + sum_i b_i (f_i - typical_i) / spread_i),
 
 whose f_i are signs of trouble in the fit (`SIGNS`), with b_i >= 0; P is the probability of all hypotheses by which the
-body moved as by this one (`group_probability`). In one frame log odds of the body become max(0, L - doubt). What the
+body moved as by this one (`group_probability`). In one frame log odds of the body become max(0, L - discount). What the
 image tells of limbs, given the body, is kept: a limb's reversal that the image refutes stays refuted. The coefficients
 were fitted to fits whose truth is known (`hfb train confidence`), for each kind of start, and lie in
 data/directions.json. Which motion is the result does not depend on them.
@@ -33,7 +33,7 @@ _LEAST, _SUREST = 1e-12, 1 - 1e-9
 
 @dataclass(frozen=True)
 class Trust:
-    """The coefficients of the doubt.
+    """The coefficients of the discount.
 
     Attributes:
         constant: b_0.
@@ -47,7 +47,7 @@ class Trust:
     typical: Mapping[str, float]
     spread: Mapping[str, float]
 
-    def doubt(self, signs: Mapping[str, float]) -> float:
+    def discount(self, signs: Mapping[str, float]) -> float:
         """Return the log odds that evidence has to exceed in a frame with these signs.
 
         Args:
@@ -57,18 +57,18 @@ class Trust:
         return max(0.0, self.constant + sum(weight * scaled[name] for name, weight in self.coefficients.items()))
 
 
-def power_of(right: Float[Array, "*n"], doubt: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def power_of(right: Float[Array, "*n"], discount: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Return the power to which odds are raised, given the probabilities that the body's direction is right.
 
     It is 1 for a body that hardly moves (NaN).
 
     Args:
         right: probability that the body's direction is right.
-        doubt: log odds to exceed, see `Trust.doubt`.
+        discount: log odds to exceed, see `Trust.discount`.
     """
     surer = np.clip(np.maximum(right, 1 - right), 0.5, _SUREST)
     log_odds = np.log(surer / (1 - surer))
-    known = np.maximum(0, 1 - np.divide(doubt, log_odds, out=np.ones_like(log_odds), where=log_odds > 0))
+    known = np.maximum(0, 1 - np.divide(discount, log_odds, out=np.ones_like(log_odds), where=log_odds > 0))
     return np.where(np.isnan(right), 1.0, known)
 
 
@@ -116,11 +116,11 @@ def trusted(alternatives: Alternatives, features: Features, sources: Sequence[st
         sources: sources of the frames' first bodies.
     """
     rows = (alternatives.frame_index == frame for frame in range(len(sources)))
-    doubts = [
-        shipped_trust(start_kind(source)).doubt(signs_of(features, one))
+    discounts = [
+        shipped_trust(start_kind(source)).discount(signs_of(features, one))
         for source, one in zip(sources, rows, strict=True)
     ]
-    power = np.asarray(power_of(alternatives.body_right(), np.array(doubts)).min())
+    power = np.asarray(power_of(alternatives.body_right(), np.array(discounts)).min())
     grouped = group_probability(alternatives.probability, alternatives.body_agrees())
     return replace(alternatives, probability=temper(alternatives.probability, grouped, power))
 

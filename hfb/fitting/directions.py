@@ -60,10 +60,7 @@ class _Hypothesis:
 
 
 def search_directions(
-    found: Variables,
-    coarse: Objective,
-    fine: Objective,
-    config: DirectionsConfig,
+    found: Variables, coarse: Objective, fine: Objective, config: DirectionsConfig
 ) -> tuple[Trajectory, Alternatives]:
     """Find the likeliest directions of a motion; the fitted motion stays bit for bit where none is likelier.
 
@@ -190,16 +187,16 @@ def _evaluate_hypothesis(
 
 def _refit(start: _Hypothesis, found: Variables, objective: Objective, iterations: int, rate: float) -> _Hypothesis:
     """Return best iterate of Adam on the motion alone, with a cosine decay of the learning rate."""
-    given = start.trajectory
-    rotation, translation = (one.detach().clone().requires_grad_() for one in (given.rotation, given.translation))
-    free = given.with_coefficients(rotation, translation)
+    began = start.trajectory
+    rotation, translation = (one.detach().clone().requires_grad_() for one in (began.rotation, began.translation))
+    free = began.with_coefficients(rotation, translation)
     optimizer = Adam([rotation, translation], _ADAM_EPSILON)
     best = replace(start, loss=math.inf)  # the start's own loss may be of another image size
     for iteration in range(iterations + 1):
         terms = _terms(free, found, objective)
         total = objective.total(terms)
         if total.item() < best.loss:
-            motion = given.with_coefficients(rotation.detach().clone(), translation.detach().clone())
+            motion = began.with_coefficients(rotation.detach().clone(), translation.detach().clone())
             best = _Hypothesis(start.reversed_limbs, motion, _values(terms), total.item())
         if iteration == iterations:
             break

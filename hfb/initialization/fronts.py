@@ -50,7 +50,11 @@ def front_doubts(observation: Observation, first_bodies: Sequence[FirstBody], bo
 
 
 def find_other_front(
-    observation: Observation, first_bodies: Sequence[FirstBody], body: Body, sure: float = SURE_DOUBT
+    observation: Observation,
+    first_bodies: Sequence[FirstBody],
+    body: Body,
+    sure: float = SURE_DOUBT,
+    enabled: bool = True,
 ) -> OtherFront | None:
     """Return the bodies that face the other way, laid onto the mattes; None where the front is sure.
 
@@ -59,10 +63,13 @@ def find_other_front(
         first_bodies: one per frame, agreed on one front.
         body: the body model.
         sure: mean of `front_doubts` from which on the front is not in doubt.
+        enabled: `both_fronts` of the fit's options; None is returned without it.
 
     Raises:
         InputError: a matte is empty.
     """
+    if not enabled:
+        return None
     doubt = float(front_doubts(observation, first_bodies, body).mean())
     if doubt >= sure:
         return None

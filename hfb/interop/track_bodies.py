@@ -102,10 +102,7 @@ def _with_seen_poses(track: PoseTrack, pixels: Float[Array, "R 24 2"], body: Bod
     parts = [register_keypoints(pixels[at : at + _CHUNK], camera, body) for at in range(0, len(track), _CHUNK)]
     places = torch.cat([part.translations for part in parts]).double() + _rest_pelvis(body, parts[0].betas)
     return replace(
-        track,
-        poses=torch.cat([part.poses for part in parts]).double().numpy(),
-        pelvis=places.numpy(),
-        pixels=None,
+        track, poses=torch.cat([part.poses for part in parts]).double().numpy(), pelvis=places.numpy(), pixels=None
     )
 
 

@@ -89,12 +89,12 @@ def _sentence(error: ErrorDetails, record: type[BaseModel]) -> str:
     reason = error["msg"].removeprefix("Value error, ")
     if not name:
         return reason
-    given = error["input"]
-    return f"{name}: {reason}" + ("" if isinstance(given, dict) else f" (given: {_in_short(given)})")
+    value = error["input"]
+    return f"{name}: {reason}" + ("" if isinstance(value, dict) else f" (given: {_in_short(value)})")
 
 
-def _in_short(given: Any) -> str:
-    text = repr(given)
+def _in_short(value: Any) -> str:
+    text = repr(value)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 

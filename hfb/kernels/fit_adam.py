@@ -27,7 +27,7 @@ def step(values, gradient, mean, square, steps, rate, epsilon):
     rate = kind(rate / (1.0 - MEAN_DECAY**steps))
     larger = kind(1.0 / np.sqrt(1.0 - SQUARE_DECAY**steps))
     for n in range(values.shape[0]):
-        asked = gradient[n]
-        mean[n] += of_mean * (asked - mean[n])
-        square[n] += of_square * (asked * asked - square[n])
+        slope = gradient[n]
+        mean[n] += of_mean * (slope - mean[n])
+        square[n] += of_square * (slope * slope - square[n])
         values[n] -= rate * mean[n] / (larger * np.sqrt(square[n]) + epsilon)

@@ -70,13 +70,13 @@ def smear(layer, way, smeared):
 
 
 @njit(**SUM_INLINE)
-def smear_gradient(layer, way, given, of_layer, of_way):
+def smear_gradient(layer, way, grad_output, of_layer, of_way):
     """Compute the gradients of `smear`.
 
     Args:
         layer: (H, W, 4), alpha and premultiplied colours.
         way: (H, W, 2), path of the layer's pixels during the exposure [px].
-        given: (H, W, 4), gradient by the smeared layer.
+        grad_output: (H, W, 4), gradient by the smeared layer.
         of_layer: (H, W, 4), gradient, filled.
         of_way: (H, W, 2), gradient, filled.
     """
@@ -86,7 +86,7 @@ def smear_gradient(layer, way, given, of_layer, of_way):
     for y in range(height):
         for x in range(width):
             across, down = way[y, x, 0], way[y, x, 1]
-            come = given[y, x]
+            come = grad_output[y, x]
             a, b, c, d = come[0] * _SHARE, come[1] * _SHARE, come[2] * _SHARE, come[3] * _SHARE
             of_across = of_down = _ZERO
             for instant in range(INSTANTS):
@@ -182,7 +182,7 @@ def colour(outline, roots, layer):
 
 
 @njit(**SUM_INLINE)
-def unexplained(scene, weights, smeared, given):
+def unexplained(scene, weights, smeared, of_smeared):
     """Return how badly a smeared layer (a, c) explains the frame and the network's matte; fill the gradient.
 
     sum of R (sqrt(1 + |apart|^2 / R^2) - 1) + trust |a - alpha|, apart = (frame - c - (1 - a) plate) / noise.
@@ -191,14 +191,14 @@ def unexplained(scene, weights, smeared, given):
         scene: frame, plate, 1 / noise (H, W, 3 each), alpha and trust, in (H, W, 11).
         weights: see `objective`.
         smeared: (H, W, 4).
-        given: (H, W, 4), gradient by the smeared layer, filled.
+        of_smeared: (H, W, 4), gradient by the smeared layer, filled.
     """
     height, width, _ = scene.shape
     robust = weights[0]
     loss = 0.0
     for y in range(height):
         for x in range(width):
-            here, seen, pull = smeared[y, x], scene[y, x], given[y, x]
+            here, seen, pull = smeared[y, x], scene[y, x], of_smeared[y, x]
             square = _ZERO
             for c in range(3):
                 apart = seen[6 + c] * (seen[c] - here[c + 1] - (_ONE - here[0]) * seen[3 + c]) / robust

@@ -127,8 +127,8 @@ def _operator(symbol, operation):
         pairs = ((kind, kind), (kind, kind.number), (kind.number, kind))
 
         def lower(context, builder, signature, arguments):
-            given = zip(signature.args, arguments, strict=True)
-            left, right = (_widened(context, builder, *one, kind) for one in given)
+            operands = zip(signature.args, arguments, strict=True)
+            left, right = (_widened(context, builder, *one, kind) for one in operands)
             return getattr(builder, operation)(left, right)
 
         for pair in pairs:
@@ -415,8 +415,8 @@ def sum_three(typingctx, four):
 def _choice(comparison):
     def choose(typingctx, left, right, then, otherwise):
         def codegen(context, builder, signature, arguments):
-            given = zip(signature.args, arguments, strict=True)
-            left, right, then, otherwise = (_widened(context, builder, *one) for one in given)
+            operands = zip(signature.args, arguments, strict=True)
+            left, right, then, otherwise = (_widened(context, builder, *one) for one in operands)
             return builder.select(builder.fcmp_ordered(comparison, left, right), then, otherwise)
 
         return _lanes(left, right, then, otherwise), codegen
@@ -435,8 +435,8 @@ if_equal = intrinsic(_choice("=="))
 def _extreme(comparison):
     def choose(typingctx, left, right):
         def codegen(context, builder, signature, arguments):
-            given = zip(signature.args, arguments, strict=True)
-            left, right = (_widened(context, builder, *one) for one in given)
+            operands = zip(signature.args, arguments, strict=True)
+            left, right = (_widened(context, builder, *one) for one in operands)
             return builder.select(builder.fcmp_ordered(comparison, left, right), left, right)
 
         return _lanes(left, right), codegen
@@ -454,8 +454,8 @@ larger = intrinsic(_extreme(">"))
 def _bits(comparison):
     def compare(typingctx, left, right):
         def codegen(context, builder, signature, arguments):
-            given = zip(signature.args, arguments, strict=True)
-            left, right = (_widened(context, builder, *one) for one in given)
+            operands = zip(signature.args, arguments, strict=True)
+            left, right = (_widened(context, builder, *one) for one in operands)
             found = builder.bitcast(builder.fcmp_ordered(comparison, left, right), ir.IntType(LANES))
             return builder.zext(found, ir.IntType(64))
 

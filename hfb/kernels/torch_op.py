@@ -106,15 +106,15 @@ def measure(name: str, moving: int) -> Callable[[Callable[..., Any]], Operator]:
         one = Operator(name, function)
 
         def fake(*arguments: Any) -> tuple[Tensor, ...]:
-            return arguments[0].new_empty(()), *(given.new_empty(given.shape) for given in arguments[:moving])
+            return arguments[0].new_empty(()), *(one.new_empty(one.shape) for one in arguments[:moving])
 
         def keep(ctx: Any, inputs: Sequence[Any], output: tuple[Tensor, ...]) -> None:
             ctx.save_for_backward(*output[1:])
             ctx.mark_non_differentiable(*output[1:])
             ctx.constants = len(inputs) - moving
 
-        def backward(ctx: Any, given: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
-            return *(given * gradient for gradient in ctx.saved_tensors), *[None] * ctx.constants
+        def backward(ctx: Any, grad_output: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
+            return *(grad_output * gradient for gradient in ctx.saved_tensors), *[None] * ctx.constants
 
         one.register_fake(fake)
         one.register_autograd(backward, keep)

@@ -149,27 +149,10 @@ def _download_wheel(folder: Path) -> Path:
 
     Platform and Python are fixed, so that every system gets the one file whose digest is known.
     """
-    _run(
-        "pip",
-        [
-            *_pip("download"),
-            "--no-deps",
-            "--only-binary=:all:",
-            "--platform",
-            "manylinux_2_28_x86_64",
-            "--python-version",
-            "3.11",
-            "--implementation",
-            "cp",
-            "--abi",
-            "cp311",
-            "--dest",
-            str(folder),
-            f"mediapipe=={WHEEL_VERSION}",
-        ],
-        folder / _WHEEL,
-        "; check the connection, or download that file by hand and give it with --from",
-    )
+    machine = ("--platform=manylinux_2_28_x86_64", "--python-version=3.11", "--implementation=cp", "--abi=cp311")
+    options = ("--no-deps", "--only-binary=:all:", *machine, f"--dest={folder}")
+    advice = "; check the connection, or download that file by hand and give it with --from"
+    _run("pip", [*_pip("download"), *options, f"mediapipe=={WHEEL_VERSION}"], folder / _WHEEL, advice)
     return folder / _WHEEL
 
 

@@ -109,8 +109,8 @@ def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
         InputError: the network that is requested by name is missing.
     """
     detector = network_path(POSE_DETECTION)
-    asked = LANDMARKERS.values() if choice == "auto" else (LANDMARKERS[choice],)
-    landmarker = next((path for one in asked if (path := network_path(one)) is not None), None)
+    candidates = LANDMARKERS.values() if choice == "auto" else (LANDMARKERS[choice],)
+    landmarker = next((path for one in candidates if (path := network_path(one)) is not None), None)
     if detector is not None and landmarker is not None:
         return detector, landmarker
     if choice != "auto":

@@ -38,12 +38,7 @@ _SHIPPED = (
 )
 _BROUGHT = (
     KnownModel(
-        "SMPL",
-        "body",
-        "--body.model FILE",
-        _SMPL_LICENCE,
-        "https://smpl.is.tue.mpg.de, a .npz or .pkl as it is",
-        None,
+        "SMPL", "body", "--body.model FILE", _SMPL_LICENCE, "https://smpl.is.tue.mpg.de, a .npz or .pkl as it is", None
     ),
     KnownModel(
         "BackgroundMattingV2",

@@ -196,8 +196,8 @@ class OnnxNetwork:
             arrays = self._session.run(None, dict(zip(names, arrays, strict=True)))
         except Exception as error:  # see above
             raise _failed(self._path, inputs, error) from None
-        given = tuple(one.name for one in self._session.get_outputs())
-        return _finite(self._path, given, tuple(np.asarray(one, np.float32) for one in arrays))
+        outputs = tuple(one.name for one in self._session.get_outputs())
+        return _finite(self._path, outputs, tuple(np.asarray(one, np.float32) for one in arrays))
 
 
 def normalised(picture_srgb: Float[Array, "H W 3"], normalisation: str, channels: str) -> Float[Array, "1 3 H W"]:

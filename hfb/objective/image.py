@@ -21,10 +21,7 @@ def image_loss(
 
 
 def robust_image_loss(
-    predicted: Float[Tensor, "H W 3"],
-    observed: Float[Tensor, "H W 3"],
-    area_px: Float[Tensor, ""],
-    scale: float = 1e-2,
+    predicted: Float[Tensor, "H W 3"], observed: Float[Tensor, "H W 3"], area_px: Float[Tensor, ""], scale: float = 1e-2
 ) -> Float[Tensor, ""]:
     """Return L_I as an L1 over the region of interest: sqrt(d^2 + scale^2) - scale (Charbonnier); see `image_loss`.
 

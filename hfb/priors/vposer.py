@@ -45,11 +45,7 @@ _LAYOUTS = {
             ("bodyprior_enc_bn2", "bodyprior_enc_fc2", 0.2),
             ("", "bodyprior_enc_mu", 1.0),
         ),
-        decoder=(
-            ("", "bodyprior_dec_fc1", 0.2),
-            ("", "bodyprior_dec_fc2", 0.2),
-            ("", "bodyprior_dec_out", 1.0),
-        ),
+        decoder=(("", "bodyprior_dec_fc1", 0.2), ("", "bodyprior_dec_fc2", 0.2), ("", "bodyprior_dec_out", 1.0)),
     ),
 }
 

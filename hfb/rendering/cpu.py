@@ -8,7 +8,7 @@ from hfb.body.mesh import Mesh
 from hfb.geometry.camera import PinholeCamera
 from hfb.kernels.rendering.render_blocks import Setting
 from hfb.kernels.rendering.render_operators import ImageLoss, draw, losses_of, pictures
-from hfb.rendering.rasterizer import NEAR_M
+from hfb.rendering.rasterizer import NEAR_M, Texture
 from hfb.rendering.reference_dibr import dibr_constants
 from hfb.rendering.texels import corner_uv
 from hfb.typing import Float, Tensor
@@ -58,12 +58,7 @@ class CpuRasterizer:
         return kept[3]
 
     def arguments(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
-        mean: bool,
+        self, vertices: Float[Tensor, "S V 3"], texture: Texture | None, camera: PinholeCamera, mesh: Mesh, mean: bool
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], list[float], list[float], bool, int]:
         """Return the arguments of `hfb.kernels.rendering.render_operators.draw`.
 
@@ -77,23 +72,14 @@ class CpuRasterizer:
         return *_whole(vertices, texture), *self._same(camera, mesh, mean)
 
     def _drawn(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
-        mean: bool,
+        self, vertices: Float[Tensor, "S V 3"], texture: Texture | None, camera: PinholeCamera, mesh: Mesh, mean: bool
     ) -> Float[Tensor, "P H W C"]:
         if torch.compiler.is_compiling():
             return draw(*self.arguments(vertices, texture, camera, mesh, mean))[0]
         return pictures(*_whole(vertices, texture), self._setting(camera, mesh, mean))
 
     def render(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
+        self, vertices: Float[Tensor, "S V 3"], texture: Texture | None, camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "S H W 4"]:
         """Return one image per sub-frame: R_S R_F and R_S.
 
@@ -106,11 +92,7 @@ class CpuRasterizer:
         return _coloured(self._drawn(vertices, texture, camera, mesh, False))
 
     def render_mean(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
+        self, vertices: Float[Tensor, "S V 3"], texture: Texture | None, camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W 4"]:
         """Return the mean of `render` over the sub-frames, without holding the single images.
 

@@ -87,12 +87,7 @@ class Observation:
             slice(max(top, 0), min(top + height, full_height)),
             slice(max(left, 0), min(left + width, full_width)),
         )
-        pads = (
-            max(-top, 0),
-            max(top + height - full_height, 0),
-            max(-left, 0),
-            max(left + width - full_width, 0),
-        )
+        pads = (max(-top, 0), max(top + height - full_height, 0), max(-left, 0), max(left + width - full_width, 0))
 
         def cut(picture: Tensor, border: int) -> Tensor:
             inside = np.ascontiguousarray(picture[window].numpy())

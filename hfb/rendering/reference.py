@@ -11,7 +11,7 @@ import torch
 
 from hfb.body.mesh import Mesh
 from hfb.geometry.camera import PinholeCamera
-from hfb.rendering.rasterizer import NEAR_M
+from hfb.rendering.rasterizer import NEAR_M, Rasterizer, Texture
 from hfb.rendering.reference_dibr import soft_mask
 from hfb.rendering.texels import sample_texture
 from hfb.typing import Bool, Float, Int, Tensor
@@ -251,7 +251,7 @@ def _uv_of_edges(
     return (weights[..., None] * uv).sum(1) / weights.sum(1, keepdim=True)
 
 
-class ReferenceRasterizer:
+class ReferenceRasterizer(Rasterizer):
     """The Protocol of `hfb.rendering.rasterizer` in plain torch, in the precision of the vertices.
 
     Args:
@@ -292,11 +292,7 @@ class ReferenceRasterizer:
         return torch.cat([colour * alpha[..., None], alpha[..., None]], -1)
 
     def render(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
+        self, vertices: Float[Tensor, "S V 3"], texture: Texture | None, camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "S H W 4"]:
         """Return one image per sub-frame: R_S R_F and R_S.
 
@@ -307,32 +303,3 @@ class ReferenceRasterizer:
             mesh: faces, edges and texture coordinates of the body.
         """
         return torch.stack([self._body(body, texture, camera, mesh) for body in vertices])
-
-    def render_mean(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
-    ) -> Float[Tensor, "H W 4"]:
-        """Return the mean of `render` over the sub-frames.
-
-        Args:
-            vertices: vertices of each sub-frame [m], camera coordinates.
-            texture: linear light; None draws silhouettes alone.
-            camera: pinhole camera; its height and width are the image's.
-            mesh: faces, edges and texture coordinates of the body.
-        """
-        return self.render(vertices, texture, camera, mesh).mean(0)
-
-    def silhouette_mean(
-        self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
-    ) -> Float[Tensor, "H W"]:
-        """Return the mean of R_S over the sub-frames.
-
-        Args:
-            vertices: vertices of each sub-frame [m], camera coordinates.
-            camera: pinhole camera; its height and width are the image's.
-            mesh: faces, edges and texture coordinates of the body.
-        """
-        return self.render_mean(vertices, None, camera, mesh)[..., 3]

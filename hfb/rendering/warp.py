@@ -9,7 +9,7 @@ from hfb.body.mesh import Mesh
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.kernels.warp.operators import draw_by_warp
-from hfb.rendering.rasterizer import NEAR_M
+from hfb.rendering.rasterizer import NEAR_M, Rasterizer, Texture
 from hfb.rendering.texels import corner_uv
 from hfb.typing import Float, Int, Tensor
 
@@ -21,7 +21,7 @@ def _memberships(owners: Int[Tensor, "n k"], count: int) -> tuple[Int[Tensor, "c
     return torch.from_numpy(begins), torch.from_numpy(np.argsort(flat, kind="stable"))
 
 
-class WarpRasterizer:
+class WarpRasterizer(Rasterizer):
     """The Protocol of `hfb.rendering.rasterizer` in float32 or float64, exact coverage (geometry in float64).
 
     It renders on its own device and returns results on the caller's; nothing is copied where these are the same.
@@ -103,11 +103,7 @@ class WarpRasterizer:
         return pictures if textures is not None else torch.nn.functional.pad(pictures, (3, 0))
 
     def render(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
+        self, vertices: Float[Tensor, "S V 3"], texture: Texture | None, camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "S H W 4"]:
         """Return one image per sub-frame: R_S R_F and R_S.
 
@@ -121,11 +117,7 @@ class WarpRasterizer:
         return self.render_pictures(vertices[:, None], textures, [camera] * len(vertices), mesh)
 
     def render_mean(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
+        self, vertices: Float[Tensor, "S V 3"], texture: Texture | None, camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W 4"]:
         """Return the mean of `render` over the sub-frames.
 
@@ -136,15 +128,3 @@ class WarpRasterizer:
             mesh: faces, edges and texture coordinates of the body.
         """
         return self.render_pictures(vertices[None], None if texture is None else texture[None], [camera], mesh)[0]
-
-    def silhouette_mean(
-        self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
-    ) -> Float[Tensor, "H W"]:
-        """Return the mean of R_S over the sub-frames.
-
-        Args:
-            vertices: vertices of each sub-frame [m], camera coordinates.
-            camera: pinhole camera; its height and width are the image's.
-            mesh: faces, edges and texture coordinates of the body.
-        """
-        return self.render_pictures(vertices[None], None, [camera], mesh)[0, ..., 3]

@@ -53,14 +53,6 @@ class BatchSummary:
         self._written: dict[int, list[object]] = {}  # what each page was made of as it lies there
         self._told: set[str] = set()
 
-    def status(self, name: str) -> str:
-        """Return the displayed state of a clip.
-
-        Args:
-            name: of the clip.
-        """
-        return self._clips[name].status
-
     def counts(self) -> BatchCounts:
         """Return the number of clips in each state."""
         from hfb.report.pages.batch_page import BatchCounts

@@ -54,16 +54,16 @@ class ClipTrouble:
     reason: str
 
 
-def addresses_of(given: Sequence[str]) -> tuple[str, ...]:
+def addresses_of(words: Sequence[str]) -> tuple[str, ...]:
     """Return the addresses of the command line and of the environment, checked.
 
     Args:
-        given: on the command line.
+        words: on the command line.
 
     Raises:
         InputError: one of them has an unknown form.
     """
-    found = tuple(dict.fromkeys((*given, *os.environ.get(VARIABLE, "").split())))
+    found = tuple(dict.fromkeys((*words, *os.environ.get(VARIABLE, "").split())))
     for number, address in enumerate(found, 1):
         scheme, rest = address.partition(":")[::2]
         known = "/" in rest if scheme == "block" else rest.removeprefix("https:").removeprefix("http:").startswith("//")

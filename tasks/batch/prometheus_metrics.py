@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
 from hfb.tasks.telemetry import progress
-from hfb.tasks.telemetry.progress import Shown
+from hfb.tasks.telemetry.progress import Listener, Shown
 
 if TYPE_CHECKING:
     from wsgiref.simple_server import WSGIServer
@@ -34,8 +34,8 @@ _PORTS_END = 65536
 _PATIENCE_S = 3.0
 
 
-class Metrics:
-    """A `Listener` that counts the progress of tasks."""
+class Metrics(Listener):
+    """Counts the progress of tasks."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
         """Register the metrics.

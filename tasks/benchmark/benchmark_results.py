@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hfb.config import Record
 from hfb.datasets.blur_bins import SetName
 from hfb.io.atomic import write_bytes_atomic
@@ -95,7 +93,7 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
         folder: where the image goes.
     """
     from hfb.io.media.images.image_io import read_picture_srgb, write_png
-    from hfb.report.images.strip import captioned
+    from hfb.report.images.strip import captioned, stacked
 
     rows = [(json.loads(one.path.read_text()), one) for one in judged]
     drawn = [(row, one) for row, one in rows if one.look is not None]
@@ -110,10 +108,8 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
         if row.get("mpjpe_mm") is not None and row.get("initial_mpjpe_mm") is not None:
             words += f": {row['initial_mpjpe_mm']:.0f} -> {row['mpjpe_mm']:.0f} mm (rank {place + 1} of {len(ranked)})"
         cells.append(captioned(read_picture_srgb(one.look.path), words))
-    width = max((cell.shape[1] for cell in cells), default=8)
-    padded = [np.pad(cell, ((0, 0), (0, width - cell.shape[1]), (0, 0)), constant_values=1) for cell in cells]
     path = folder / "gallery.png"
-    write_png(path, np.concatenate(padded) if padded else np.ones((8, 8, 3), np.float32))
+    write_png(path, stacked(cells))
     return FileHandle.of(path)
 
 

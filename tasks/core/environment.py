@@ -12,17 +12,7 @@ from pathlib import Path
 import hfb
 
 _CPUINFO = Path("/proc/cpuinfo")
-_LIBRARIES = (
-    "torch",
-    "numpy",
-    "numba",
-    "scipy",
-    "opencv-python-headless",
-    "av",
-    "ai-edge-litert",
-    "prefect",
-    "mlflow",
-)
+_LIBRARIES = ("torch", "numpy", "numba", "scipy", "opencv-python-headless", "av", "ai-edge-litert", "prefect", "mlflow")
 _COMPUTING = ("numpy", "numba", "torch")
 
 

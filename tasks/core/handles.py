@@ -71,12 +71,8 @@ class FileHandle(Record):
 
     def verify(self) -> None:
         """Check the file's sha256."""
-        try:
-            actual = sha256_of(self.path)
-        except OSError as error:
-            raise StaleFile(f"{self.path} is gone") from error
-        if actual != self.sha256:
-            raise StaleFile(f"{self.path} is no longer what it was")
+        _read.pop(self.path, None)
+        self.check()
 
 
 class FrameHandle(FileHandle):

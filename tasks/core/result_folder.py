@@ -13,7 +13,7 @@ from typing import Any
 from hfb.errors import InputError
 from hfb.interop.writers.export_names import RESULT
 from hfb.io.json_file import read_json
-from hfb.io.safe_folder import check_ordinary, is_regular, read_head
+from hfb.io.safe_folder import check_ordinary, read_head
 
 UNFINISHED = "unfinished"
 _HEAD_BYTES = 64
@@ -49,15 +49,6 @@ def is_unfinished(root: Path, *parts: str) -> bool:
     except (OSError, ValueError):  # NotOrdinary is a ValueError
         return False
     return head.lstrip(b"{ \r\n").startswith(f'"{UNFINISHED}"'.encode())
-
-
-def is_finished(folder: Path) -> bool:
-    """Return whether a folder holds a complete result.
-
-    Args:
-        folder: of the result.
-    """
-    return is_regular(folder / RESULT) and not is_unfinished(folder)
 
 
 def list_unfinished_files(folder: Path) -> set[str]:

@@ -54,7 +54,7 @@ def fit_motion(
         load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
         on_progress=progress.advance,
         motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
-        other_front=find_other_front(observation, firsts, model) if config.both_fronts else None,
+        other_front=find_other_front(observation, firsts, model, enabled=config.both_fronts),
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
     save_motion(paths[0], result.motion, model.betas_space)

@@ -14,14 +14,7 @@ from hfb.tasks.task import task
 
 
 @task("strip")
-def strip(
-    *,
-    clip: ClipHandle,
-    fit: FitHandle,
-    body: FileHandle | None,
-    config: FitConfig,
-    folder: Path,
-) -> FileHandle:
+def strip(*, clip: ClipHandle, fit: FitHandle, body: FileHandle | None, config: FitConfig, folder: Path) -> FileHandle:
     """Draw the input and how the fit explains it.
 
     Args:

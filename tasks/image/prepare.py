@@ -46,7 +46,7 @@ def prepare(
 
     images = _Images(clip.transfer, exposure.light)
     plate, plate_linear = images.read(background)
-    doubts: list[bool] = []
+    with_person: list[bool] = []
     matched: list[FrameHandle] = []
     told: str | None = None
     height, width = plate.shape[:2]
@@ -63,7 +63,7 @@ def prepare(
         if gain != NO_GAIN:
             image_linear = in_plate_exposure(image_linear, plate_linear, gain)
             image = image_linear if clip.transfer == "linear" else linear_to_srgb(image_linear)
-        doubts.append(seems_to_hold_person(image, plate))
+        with_person.append(seems_to_hold_person(image, plate))
         if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
             told = find_plate_mismatch(image_linear, plate_linear)
     told = told or tell_exposures([one.gain for one in matched])
@@ -85,7 +85,7 @@ def prepare(
         interval_s=interval_s,
         transfer=clip.transfer,
         light=exposure.light,
-        remarks=(*remarks, *((told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(doubts) else ())),
+        remarks=(*remarks, *((told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(with_person) else ())),
     )
 
 

@@ -117,8 +117,8 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
             "no calibration given: assuming a focal length of the picture's diagonal (--clip or --camera.focal-px)"
         )
     if find_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
-        asked = ", and the first picture does not tell it" if clip.exposure.auto else ""
-        remarks.append(f"no exposure given{asked}: assuming the shutter is always open (--clip or --exposure.seconds)")
+        detail = ", and the first picture does not tell it" if clip.exposure.auto else ""
+        remarks.append(f"no exposure given{detail}: assuming the shutter is always open (--clip or --exposure.seconds)")
     used = clip.model_copy(update={"person": clip.person.model_copy(update={"height_m": None})})
     vain = [name for name in _OF_VIDEOS if getattr(used, name) != getattr(Clip(), name)]
     vain += ["exposure.position"] if clip.exposure.position != ClipExposure().position else []
@@ -236,9 +236,9 @@ def input_files(inputs: Record) -> dict[str, FileHandle]:
     """
     files: dict[str, FileHandle] = {}
     for role in type(inputs).model_fields:
-        given = getattr(inputs, role)
-        for index, file in enumerate(files_in(given)):
-            several = isinstance(given, tuple)
+        value = getattr(inputs, role)
+        for index, file in enumerate(files_in(value)):
+            several = isinstance(value, tuple)
             files[f"{_ONE_OF.get(role, role)}_{index}" if several else role] = file
     return files
 

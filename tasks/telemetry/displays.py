@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager
 from typing import TextIO
 
 from rich.console import Console
@@ -16,49 +16,13 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.text import Text
 
 from hfb.tasks.telemetry.progress import Display, Shown, showing, shown_to_somebody
+from hfb.tasks.telemetry.progress_artifacts import Artifacts
 
 _OFTEN_S, _SELDOM_S, _LONG_S = 10.0, 60.0, 300.0
 _NEARLY = 1 - 1e-6
 
 
-class Silent:
-    """Shows nothing."""
-
-    def begin(self, shown: Shown) -> None:
-        """Ignore the step.
-
-        Args:
-            shown: the step.
-        """
-
-    def update(self, shown: Shown) -> None:
-        """Ignore the step.
-
-        Args:
-            shown: the step.
-        """
-
-    def end(self, shown: Shown, failed: bool) -> None:
-        """Ignore the step.
-
-        Args:
-            shown: the step.
-            failed: whether it raised.
-        """
-
-    def say(self, line: str) -> None:
-        """Ignore the line.
-
-        Args:
-            line: text without secrets.
-        """
-
-    def running(self) -> AbstractContextManager[object]:
-        """Do nothing."""
-        return nullcontext()
-
-
-class Plain:
+class Plain(Display):
     """For logs and pipes: a line when a step ends, and its progress after 2, 3, 5, 7, 10 ... seconds."""
 
     def __init__(self, write: Callable[[str], None], first_s: float = 2.0) -> None:
@@ -81,12 +45,7 @@ class Plain:
         """
         self._steps.append(shown)
 
-    def update(self, shown: Shown) -> None:
-        """Do nothing: the watching thread reads the step when its time comes.
-
-        Args:
-            shown: the step.
-        """
+    # `update` does nothing: the watching thread reads the step when its time comes.
 
     def end(self, shown: Shown, failed: bool) -> None:
         """Remove the step and print its outcome.
@@ -132,7 +91,7 @@ class Plain:
                 due_s = min(1.5 * shown.seconds, shown.seconds + pause_s)
 
 
-class Live:
+class Live(Display):
     """For a terminal: a spinner and a bar that give way to finished lines and to log lines."""
 
     def __init__(self, console: Console) -> None:
@@ -199,72 +158,20 @@ class Live:
         return self._bar
 
 
-class Together:
-    """Several displays of the same run."""
-
-    def __init__(self, *displays: Display) -> None:
-        self._displays = displays
-
-    def begin(self, shown: Shown) -> None:
-        """Pass the step on.
-
-        Args:
-            shown: the step.
-        """
-        for display in self._displays:
-            display.begin(shown)
-
-    def update(self, shown: Shown) -> None:
-        """Pass the step on.
-
-        Args:
-            shown: the step.
-        """
-        for display in self._displays:
-            display.update(shown)
-
-    def end(self, shown: Shown, failed: bool) -> None:
-        """Pass the step on.
-
-        Args:
-            shown: the step.
-            failed: whether it raised.
-        """
-        for display in self._displays:
-            display.end(shown, failed)
-
-    def say(self, line: str) -> None:
-        """Pass the line on.
-
-        Args:
-            line: text without secrets.
-        """
-        for display in self._displays:
-            display.say(line)
-
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        """Run all displays."""
-        with ExitStack() as stack:
-            for display in self._displays:
-                stack.enter_context(display.running())
-            yield
-
-
-def display_for(stream: TextIO | None = None, quiet: bool = False) -> Display:
-    """Return the display that suits a stream.
+def displays_for(stream: TextIO | None = None, quiet: bool = False) -> tuple[Display, ...]:
+    """Return the displays that suit a stream.
 
     Args:
         stream: standard error where None.
         quiet: shows nothing.
     """
     if quiet:
-        return Silent()
+        return (Display(),)
     target = stream or sys.stderr
     console = Console(file=target)
     if target.isatty() and not console.is_dumb_terminal:
-        return Live(console)
-    return Together(lines_on(target), _artifacts())
+        return (Live(console),)
+    return lines_on(target), Artifacts()
 
 
 def lines_on(stream: TextIO, first_s: float = 2.0) -> Plain:
@@ -277,21 +184,19 @@ def lines_on(stream: TextIO, first_s: float = 2.0) -> Plain:
     return Plain(lambda line: print(line, file=stream, flush=True), first_s)
 
 
-def display_of_flow_run() -> Display:
-    """Return the display of a flow run that a server started: lines in its log, and progress artifacts."""
-    from prefect.logging import get_run_logger
-
-    logger = get_run_logger()
-    return Together(Plain(lambda line: logger.info("%s", line)), _artifacts())
-
-
 @contextmanager
 def show_progress() -> Iterator[None]:
-    """Show progress inside a flow run that a server started; a command has chosen its display already."""
+    """Show progress inside a flow run that a server started: lines in its log, and progress artifacts.
+
+    A command has chosen its displays already.
+    """
     if shown_to_somebody():
         yield
         return
-    with showing(display_of_flow_run()):
+    from prefect.logging import get_run_logger
+
+    logger = get_run_logger()
+    with showing(Plain(lambda line: logger.info("%s", line)), Artifacts()):
         yield
 
 
@@ -302,9 +207,3 @@ def printable(line: str) -> str:
         line: the text.
     """
     return "".join(one if one.isprintable() or one in "\n\t" else "\N{REPLACEMENT CHARACTER}" for one in line)
-
-
-def _artifacts() -> Display:
-    from hfb.tasks.telemetry.progress_artifacts import Artifacts
-
-    return Artifacts()

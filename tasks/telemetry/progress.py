@@ -1,6 +1,6 @@
 """Progress of tasks: the current step, how much of it is done, and lines for the user.
 
-Everything goes to standard error; standard output is for results. The caller of a run chooses the display with
+Everything goes to standard error; standard output is for results. The caller of a run chooses the displays with
 ``showing`` (see tasks/telemetry/displays.py). Tasks call ``step``, ``advance`` and ``say``, which do nothing without
 a display.
 """
@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from hfb.tasks.telemetry.secrets import without_secrets
 
@@ -38,44 +37,8 @@ class Shown:
         return "reused" if self.reused else f"{self.seconds:.1f} s"
 
 
-class Display(Protocol):
-    """Interface of a display. Any thread may call; steps may be nested."""
-
-    def begin(self, shown: Shown) -> None:
-        """Show a new step.
-
-        Args:
-            shown: the step.
-        """
-
-    def update(self, shown: Shown) -> None:
-        """Show the progress of a step.
-
-        Args:
-            shown: the step.
-        """
-
-    def end(self, shown: Shown, failed: bool) -> None:
-        """Show that a step ended.
-
-        Args:
-            shown: the step.
-            failed: whether it raised.
-        """
-
-    def say(self, line: str) -> None:
-        """Show a line.
-
-        Args:
-            line: text without secrets.
-        """
-
-    def running(self) -> AbstractContextManager[object]:
-        """Keep the display up inside the block."""
-
-
-class Listener(Protocol):
-    """Interface of an observer of every step. Any thread may call."""
+class StepObserver:
+    """Observer of every step; it does nothing. Any thread may call; steps may be nested."""
 
     def begin(self, shown: Shown) -> None:
         """Observe a new step.
@@ -99,6 +62,25 @@ class Listener(Protocol):
             failed: whether it raised.
         """
 
+
+class Display(StepObserver):
+    """Display of steps and lines; it shows nothing."""
+
+    def say(self, line: str) -> None:
+        """Show a line.
+
+        Args:
+            line: text without secrets.
+        """
+
+    def running(self) -> AbstractContextManager[object]:
+        """Keep the display up inside the block."""
+        return nullcontext()
+
+
+class Listener(StepObserver):
+    """Observer of steps and failed inputs."""
+
     def fail(self, step: str, reason: str) -> None:
         """Observe a failed input of a step.
 
@@ -109,29 +91,31 @@ class Listener(Protocol):
 
 
 # One for the whole process, not one per context: threads that libraries start log too, and nothing is to be swallowed.
-_displays: list[Display] = []
+_displays: list[tuple[Display, ...]] = []
 _listeners: list[Listener] = []
-_step: ContextVar[tuple[Shown, Display | None] | None] = ContextVar("step", default=None)
+_step: ContextVar[tuple[Shown, tuple[Display, ...]] | None] = ContextVar("step", default=None)
 
 
 def shown_to_somebody() -> bool:
-    """Return whether a display was chosen."""
+    """Return whether displays were chosen."""
     return bool(_displays)
 
 
 @contextmanager
-def showing(display: Display) -> Iterator[None]:
-    """Show the steps inside the block on a display.
+def showing(*displays: Display) -> Iterator[None]:
+    """Show the steps inside the block on some displays.
 
     Args:
-        display: where they are shown.
+        *displays: where they are shown.
     """
-    _displays.append(display)
+    _displays.append(displays)
     try:
-        with display.running():
+        with ExitStack() as stack:
+            for display in displays:
+                stack.enter_context(display.running())
             yield
     finally:
-        _displays.remove(display)
+        _displays.remove(displays)
 
 
 @contextmanager
@@ -155,16 +139,16 @@ def step(label: str) -> Iterator[Shown]:
     Args:
         label: as displayed.
     """
-    display, shown = _display(), Shown(label)
-    token = _step.set((shown, display))
-    for one in _audience(display):
+    displays, shown = _chosen(), Shown(label)
+    token = _step.set((shown, displays))
+    for one in (*displays, *_listeners):
         one.begin(shown)
     failed = True
     try:
         yield shown
         failed = False
     finally:
-        for one in _audience(display):
+        for one in (*displays, *_listeners):
             one.end(shown, failed)
         _step.reset(token)
 
@@ -179,9 +163,9 @@ def advance(done: int, total: int, note: str = "") -> None:
     """
     current = _step.get()
     if current is not None:
-        shown, display = current
+        shown, displays = current
         shown.done, shown.total, shown.note = done, total, note
-        for one in _audience(display):
+        for one in (*displays, *_listeners):
             one.update(shown)
 
 
@@ -202,14 +186,9 @@ def say(line: str) -> None:
     Args:
         line: secrets in it are hidden.
     """
-    display = _display()
-    if display is not None:
+    for display in _chosen():
         display.say(without_secrets(line))
 
 
-def _audience(display: Display | None) -> list[Display | Listener]:
-    return [*([display] if display is not None else []), *_listeners]
-
-
-def _display() -> Display | None:
-    return _displays[-1] if _displays else None
+def _chosen() -> tuple[Display, ...]:
+    return _displays[-1] if _displays else ()

@@ -17,7 +17,7 @@ from contextvars import Context, copy_context
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hfb.tasks.telemetry.progress import Shown
+from hfb.tasks.telemetry.progress import Display, Shown
 
 if TYPE_CHECKING:
     from uuid import UUID
@@ -38,8 +38,11 @@ class _Watched:
     told: tuple[float, str] | None = None
 
 
-class Artifacts:
-    """One progress artifact for every long step that reports its progress."""
+class Artifacts(Display):
+    """One progress artifact for every long step that reports its progress.
+
+    The sending thread reads a step when its time comes, so that `update` does nothing; lines are for other displays.
+    """
 
     def __init__(self, first_s: float = _FIRST_S, every_s: float = _EVERY_S) -> None:
         """Begin without steps.
@@ -65,13 +68,6 @@ class Artifacts:
             with self._lock:
                 self._watched.append(_Watched(shown, flow_run, copy_context()))
 
-    def update(self, shown: Shown) -> None:
-        """Do nothing: the sending thread reads the step when its time comes.
-
-        Args:
-            shown: the step.
-        """
-
     def end(self, shown: Shown, failed: bool) -> None:
         """Mark the step as ended.
 
@@ -83,13 +79,6 @@ class Artifacts:
             for one in self._watched:
                 one.ended = one.ended or one.shown is shown
             self._watched = [one for one in self._watched if not one.ended or one.artifact is not None]
-
-    def say(self, line: str) -> None:
-        """Ignore lines; other displays show them.
-
-        Args:
-            line: text without secrets.
-        """
 
     @contextmanager
     def running(self) -> Iterator[None]:

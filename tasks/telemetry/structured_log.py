@@ -39,8 +39,8 @@ def ids_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
     contexts = sys.modules.get("prefect.context")
     task = contexts.TaskRunContext.get() if contexts else None
     ids = {"flow_run": str(task.task_run.flow_run_id), "task": task.task.name} if task is not None else {}
-    given = {**dict(parameters.get("call", ())), **parameters}  # a mapped task has one record
-    frames = _numbers(next((given[name] for name in _FRAME_PARAMETERS if name in given), None))
+    fields = {**dict(parameters.get("call", ())), **parameters}  # a mapped task has one record
+    frames = _numbers(next((fields[name] for name in _FRAME_PARAMETERS if name in fields), None))
     return ids | ({"frames": frames} if frames else {})
 
 

@@ -40,12 +40,12 @@ def no_answer(address: str, patience_s: float) -> str | None:
         patience_s: for the whole answer, however slowly its bytes come.
     """
 
-    def asked() -> None:
+    def request() -> None:
         with urlopen(without_login(address), timeout=patience_s):
             pass
 
     try:
-        within(patience_s, asked)
+        within(patience_s, request)
     except HTTPError as error:
         return None if error.code in _ASKS_FOR_A_LOGIN else f"answers {error.code}"
     except (URLError, OSError) as error:

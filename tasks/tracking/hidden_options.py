@@ -24,25 +24,25 @@ def hidden_options(recipe: Recipe) -> tuple[str, ...]:
     return tuple(".".join(keys) for keys in _hidden(content, known, ()))
 
 
-def with_options(recipe: Recipe, given: Mapping[str, str], run: str) -> Recipe:
+def with_options(recipe: Recipe, options: Mapping[str, str], run: str) -> Recipe:
     """Return the recipe with its hidden options filled in.
 
     Args:
         recipe: of the run.
-        given: option -> value.
+        options: option -> value.
         run: its title, for messages.
 
     Raises:
         InputError: one is missing, or one is given that the record does not hide.
     """
     hidden = hidden_options(recipe)
-    if held := [name for name in given if name not in hidden]:
+    if held := [name for name in options if name not in hidden]:
         raise InputError(f"a repetition keeps the options of run {run}: leave --option {held[0]} out")
-    if missing := [name for name in hidden if name not in given]:
+    if missing := [name for name in hidden if name not in options]:
         again = " ".join(f"--option {name}=VALUE" for name in missing)
         raise InputError(f"run {run} had a secret in {', '.join(missing)}, which its record hides: give {again}")
     content: dict[str, Any] = {**recipe.config, _INPUTS: recipe.inputs}
-    for name, value in given.items():
+    for name, value in options.items():
         content = _with(content, name.split("."), value)
     return recipe.model_copy(update={_INPUTS: content.pop(_INPUTS), "config": content})
 

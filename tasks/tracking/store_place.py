@@ -35,13 +35,13 @@ _ENDINGS = (".db", ".sqlite", ".sqlite3")
 
 def tracking_uri() -> str:
     """Return the store's address; a SQLite file by its absolute path, whatever form the user chose."""
-    given = os.environ.get(_VARIABLE, "").strip()
-    if not given:
+    uri = os.environ.get(_VARIABLE, "").strip()
+    if not uri:
         return sqlite_uri(platformdirs.user_data_path("hfb") / "mlflow.db")
-    file = sqlite_file(given)
+    file = sqlite_file(uri)
     if file is None:
-        return given
-    options = [(name, value) for name, value in _options(given) if name not in ("uri", "mode", "cache")]
+        return uri
+    options = [(name, value) for name, value in _options(uri) if name not in ("uri", "mode", "cache")]
     return sqlite_uri(file) + (f"?{urlencode(options)}" if options else "")
 
 

@@ -204,8 +204,7 @@ def log_histories(run: Run, histories: Mapping[str, Sequence[float | None]]) -> 
         histories: values by metric.
     """
     log_points(
-        run,
-        {name: {k: float(v) for k, v in enumerate(values) if v is not None} for name, values in histories.items()},
+        run, {name: {k: float(v) for k, v in enumerate(values) if v is not None} for name, values in histories.items()}
     )
 
 

@@ -6,7 +6,7 @@ everything is tried once more at the end, and failing that the same command or `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +42,7 @@ class ClipRecord:
             "clip": inputs.clip.model_dump(mode="json"),
         }
         self._key = digest(["video", self._params, code_version()])
-        self._tags = {
-            "code": code_version(),
-            "seed": str(config.seed),
-            "preset": config.preset,
-            COMMAND_TAG: "video",
-        }
+        self._tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video"}
         self._run: tracking.Run | None = None
         self._points: dict[str, dict[int, float]] = {}
         self._there: dict[str, set[int]] = {}
@@ -113,10 +108,6 @@ class ClipRecord:
         if run is not None and self._reached:
             self._try(lambda: tracking.end_run(run, status))
 
-    def place(self) -> RunHandle | None:
-        """Return where the run can be watched."""
-        return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run)) if self._run else None
-
     def _open(self) -> None:
         self._run = tracking.begin_run(self._name, self._key, self._params, self._tags)
         self._unwatch = tracking.watch_machine(self._run)
@@ -147,7 +138,7 @@ class ClipRecord:
         self._log(self._points)
         self._log(_final(result))
         with tracking.store_losses():
-            tracking.log_files(run, _artifact_paths(files))
+            tracking.log_files(run, [file.path for _, file in sorted(files.items())])
             for name, content in self._contents(files, result).items():
                 tracking.log_dict(run, content, name)
         tracking.end_run(run, "FINISHED")
@@ -172,7 +163,3 @@ class ClipRecord:
 def _final(result: Mapping[str, Any]) -> dict[str, dict[int, float]]:
     final = {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
     return final | {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
-
-
-def _artifact_paths(files: Mapping[str, FileHandle]) -> Sequence[Path]:
-    return [file.path for _, file in sorted(files.items())]

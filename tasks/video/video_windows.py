@@ -158,7 +158,7 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
         seen = load_observation(call.clip, call.mattes)
         firsts = [load_first_body(first.path) for first in call.firsts]
         identity = load_identity(call.person.path) if call.person else None
-        other = find_other_front(seen, firsts, model) if call.config.both_fronts else None
+        other = find_other_front(seen, firsts, model, enabled=call.config.both_fronts)
         scenes.append(WindowScene(ClipWindow(call.frames, call.segment), seen, firsts, identity, other))
     pose, motion = shared.priors.pose, shared.priors.motion
     fits = fit_windows(

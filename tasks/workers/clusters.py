@@ -113,7 +113,7 @@ class _Dask:
         except (OSError, ValueError) as error:
             place = without_secrets(address)
             raise TemporaryError(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
-        self._address, self._running = address, set[Any]()
+        self._running: set[Any] = set()
 
     def count(self) -> int:
         """Number of workers."""
@@ -213,15 +213,15 @@ def _compute_away(store: str | None, code: str, function: Callable[[Call], R], c
         here = there.take(call, lambda file: cached / file.sha256 / file.path.name)
         value = bare(function)(here.model_copy(update={"folder": folder}) if hasattr(call, "folder") else here)
         there.put(value)
-        given = {(file.sha256, file.path.name): file.path for file in files_in(call)}
-        value = with_files(value, lambda file: _as_called_there(file, folder, given))
+        inputs = {(file.sha256, file.path.name): file.path for file in files_in(call)}
+        value = with_files(value, lambda file: _as_called_there(file, folder, inputs))
     return value, time.monotonic() - began
 
 
-def _as_called_there(file: FileHandle, folder: Path, given: dict[tuple[str, str], Path]) -> FileHandle:
+def _as_called_there(file: FileHandle, folder: Path, inputs: dict[tuple[str, str], Path]) -> FileHandle:
     """Return a file by its place in the folder, or, for an input, by its original name."""
     made = file.path.is_relative_to(folder)
-    path = file.path.relative_to(folder) if made else given[file.sha256, file.path.name]
+    path = file.path.relative_to(folder) if made else inputs[file.sha256, file.path.name]
     return file.model_copy(update={"path": path})
 
 

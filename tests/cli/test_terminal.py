@@ -33,7 +33,7 @@ def warn(words):
 
 if __name__ == "__main__":
     keep_log()
-    with progress.showing(displays.display_for()), workers(1, apart=True), progress.step("fit"):
+    with progress.showing(*displays.displays_for()), workers(1, apart=True), progress.step("fit"):
         for number in range(20):
             progress.advance(number, 20, "loss 0.5")
             warn(f"line {number} of this thread")
@@ -109,9 +109,9 @@ def test_a_terminal_that_can_nothing_gets_lines(monkeypatch: pytest.MonkeyPatch)
     master, slave = pty.openpty()
     with os.fdopen(slave, "w") as stream:
         monkeypatch.setenv("TERM", "xterm")
-        assert isinstance(displays.display_for(stream), displays.Live)
+        assert isinstance(displays.displays_for(stream)[0], displays.Live)
         monkeypatch.setenv("TERM", "dumb")
-        assert isinstance(displays.display_for(stream), displays.Together)
+        assert isinstance(displays.displays_for(stream)[0], displays.Plain)
     os.close(master)
 
 

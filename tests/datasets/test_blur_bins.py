@@ -11,7 +11,6 @@ from hfb.datasets.blur_bins import (
     SINGLE_COUNTS,
     bin_of_case,
     bins_of,
-    interval_of,
     wanted_interval,
 )
 from hfb.datasets.blur_rates import blur_rates
@@ -40,13 +39,6 @@ def test_even_means_in_turn() -> None:
     assert [wanted_interval("bt-amass", 1, "even", number) for number in range(1, 21)] == [*BLUR_BINS, *BLUR_BINS]
     assert [wanted_interval("bc-cape", 4, "paper", number) for number in range(1, 7)] == list(bins_of("bc-cape", 4))
     assert wanted_interval("bc-cape", 1, "natural", 3) == (0.05, 0.8)
-
-
-def test_an_interval_holds_its_lower_end() -> None:
-    assert interval_of(0.2, BLUR_BINS) == 2
-    assert interval_of(0.05, BLUR_BINS) == 0
-    assert interval_of(0.0499, BLUR_BINS) is None
-    assert interval_of(1.1, BLUR_BINS) is None
 
 
 def test_blur_rates_are_the_protocols() -> None:

@@ -192,7 +192,7 @@ def test_recorded_clothing_is_worn(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     def made_with(clothing: np.ndarray | None, name: str) -> int:
         monkeypatch.setattr(
-            synthesis, "_loader", lambda _: lambda index: replace(recorded.load(index), clothing=clothing)
+            synthesis, "_shelf", lambda *_: lambda index: replace(recorded.load(index), clothing=clothing)
         )
         return int(load_truth(make_case(spec, 1, [3], tmp_path / name).truth).silhouettes[0].sum())
 
@@ -210,7 +210,7 @@ def still(index: int) -> MotionClip:
 
 
 def test_motionless_motions_cannot_blur(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(synthesis, "_loader", lambda _: still)
+    monkeypatch.setattr(synthesis, "_shelf", lambda *_: still)
     monkeypatch.setattr(motion_search, "_DRAWS", 9)
     for fill in ("even", "natural"):
         with pytest.raises(InputError, match=r"blur rate from 0\.05"):
@@ -221,8 +221,8 @@ def test_motionless_motions_cannot_blur(tmp_path: Path, monkeypatch: pytest.Monk
 def test_motions_that_are_too_short_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         synthesis,
-        "_loader",
-        lambda _: lambda index: replace(still(index), poses=np.zeros((3, 24, 3)), translations=np.zeros((3, 3))),
+        "_shelf",
+        lambda *_: lambda index: replace(still(index), poses=np.zeros((3, 24, 3)), translations=np.zeros((3, 3))),
     )
     with pytest.raises(InputError, match="livelier"):
         make_case(SINGLE, 2, [0], tmp_path)

@@ -12,11 +12,10 @@ from hfb.errors import InputError
 from hfb.flows.export import export_result
 from hfb.flows.report import make_report
 from hfb.tasks.core.handles import sha256_of
-from hfb.tasks.core.result_folder import is_finished
 from hfb.tasks.results.resolve_result import resolve_result
 from hfb.tasks.results.stored_runs import find_run
 from tests.faults.killed_publish import run
-from tests.orchestration import Problem
+from tests.orchestration import Problem, is_finished
 
 _SCRIPT = Path(__file__).with_name("killed_publish.py")
 

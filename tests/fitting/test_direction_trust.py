@@ -49,7 +49,7 @@ def test_trouble_in_a_fit_makes_less_sure(kind: StartKind) -> None:
     raw = swinging((0.5, 0.25, 0.15, 0.1))
     well, badly = (trusted(raw, features(kind, trouble), [SOURCES[kind]]) for trouble in (-1, 2))
     assert badly.body_right()[0] < well.body_right()[0]
-    assert shipped_trust(kind).doubt(signs_of(features(kind, -99), slice(None))) == 0.0
+    assert shipped_trust(kind).discount(signs_of(features(kind, -99), slice(None))) == 0.0
     assert trusted(raw, features(kind, 99), [SOURCES[kind]]).body_right()[0] == pytest.approx(0.5)
 
 

@@ -18,11 +18,12 @@ from hfb.flows.report import make_report
 from hfb.flows.runtime.workspace import beside_result, mark_unfinished, publish, workspace
 from hfb.io.safe_folder import NotOrdinary
 from hfb.motion.motion_file import save_motion
-from hfb.tasks.core.result_folder import check_result, is_finished
+from hfb.tasks.core.result_folder import check_result
 from hfb.tasks.core.result_records import drop_foreign
 from hfb.tasks.results.stored_runs import find_run
 from tests.flows.test_workspace import published
 from tests.interop.writers.motions import motion_of
+from tests.orchestration import is_finished
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.tasks.core.handles import sha256_of
-from hfb.tasks.core.result_folder import check_result, is_finished, is_unfinished
+from hfb.tasks.core.result_folder import check_result, is_unfinished
 from tests.flows.test_workspace import published
+from tests.orchestration import is_finished
 
 _SCRIPT = """
 import sys

@@ -110,8 +110,8 @@ def test_nobody_watches() -> None:
 
 
 def test_display_for_a_pipe() -> None:
-    assert isinstance(displays.display_for(io.StringIO()), displays.Together)
-    assert isinstance(displays.display_for(io.StringIO(), quiet=True), displays.Silent)
+    assert [type(one) for one in displays.displays_for(io.StringIO())] == [displays.Plain, Artifacts]
+    assert [type(one) for one in displays.displays_for(io.StringIO(), quiet=True)] == [progress.Display]
 
 
 def test_long_steps_of_a_flow_run_have_progress_artifacts(store: Path) -> None:

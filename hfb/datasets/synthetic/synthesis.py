@@ -5,7 +5,7 @@ sensor noise and 8-bit files, so that a fit has no advantage from sharing the ge
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -137,7 +137,7 @@ def _find_scene(
 ) -> _Scene:
     """Return the first candidate whose full-size truth has the wanted blur rate and a margin to the image's border."""
     found = candidates(
-        _loader(spec),
+        _shelf(spec.motions, spec.seed),
         usable,
         actor.quick,
         shutter_of(spec.set),
@@ -217,7 +217,3 @@ class _Shelf:
 @lru_cache(maxsize=2)
 def _shelf(folder: Path | None, seed: int) -> _Shelf:
     return _Shelf(_source(folder, seed))
-
-
-def _loader(spec: SetSpec) -> Callable[[int], MotionClip]:
-    return _shelf(spec.motions, spec.seed)

@@ -68,17 +68,17 @@ class Deblurrer:
         return SharpPictures(pictures, subframe_times(pictures.shape[1], self._layout.times))
 
 
-def subframe_times(count: int, given: tuple[float, ...] | None) -> Float[Array, "M"]:
+def subframe_times(count: int, times: tuple[float, ...] | None) -> Float[Array, "M"]:
     """Return the times of a system's sub-frames in exposures: as given, else evenly from 0 to 1 (a single one at 0.5).
 
     Args:
         count: sub-frames per frame.
-        given: times in exposures, or None.
+        times: times in exposures, or None.
     """
-    if given is not None:
-        if len(given) != count:
-            raise InputError(f"times has {len(given)} entries for {count} sub-frames per frame; give one for each")
-        return np.array(given, np.float64)
+    if times is not None:
+        if len(times) != count:
+            raise InputError(f"times has {len(times)} entries for {count} sub-frames per frame; give one for each")
+        return np.array(times, np.float64)
     return np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
 
 

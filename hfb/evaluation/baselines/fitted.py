@@ -74,7 +74,6 @@ class HumanFromBlur:
 
     def _fit(self, observation: Observation, starts: Sequence[FirstBody]) -> FitResult:
         config = self._config.fit
-        other = find_other_front(observation, starts, self._body) if config.both_fronts else None
         return fit(
             observation,
             starts,
@@ -83,7 +82,7 @@ class HumanFromBlur:
             self._config.seed,
             self._prior,
             motion_prior=self._motion_prior,
-            other_front=other,
+            other_front=find_other_front(observation, starts, self._body, enabled=config.both_fronts),
         )
 
     def _draw(self, result: FitResult, observation: Observation) -> Float[Array, "R H W 4"]:

@@ -12,7 +12,7 @@ from hfb.config import DirectionsConfig, FitConfig, MultiFrame, Record, RunConfi
 from hfb.errors import InputError
 from hfb.evaluation.baselines.chain_spec import ChainSpec, read_chains
 from hfb.io.toml_file import merged, read_toml, to_record
-from hfb.networks.mediapipe_files import networks_in_use
+from hfb.networks.mediapipe_files import networks_in_use, sha256_of
 
 Kind = Literal["static", "interpolated", "sfb", "mfb", "fit", "oracle", "middle", "floor", "chain"]
 Oracle = Literal["true-matte", "true-start", "true-height", "true-front"]
@@ -139,13 +139,13 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     Raises:
         InputError: no such method, or a file it needs is missing or wrong.
     """
-    name, given, file = text.strip().partition("=")
+    name, equals, file = text.strip().partition("=")
     base, *oracles = name.split("@")
     wrong = [oracle for oracle in oracles if oracle not in get_args(Oracle)]
     if wrong:
         known = ", ".join(f"@{oracle}" for oracle in get_args(Oracle))
         raise InputError(f"method {name}: unknown oracle @{wrong[0]}; there are {known}")
-    if given:
+    if equals:
         spec = MethodSpec(name=name, kind="fit", config=_config_of(Path(file)))
     else:
         spec = _named(base, chains)
@@ -231,8 +231,7 @@ def digest(path: Path) -> str:
     """
     try:
         if not path.is_dir():
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
+            return sha256_of(path)
         total = hashlib.sha256()
         for inner in _within(path):
             total.update(f"{inner.relative_to(path).as_posix()}\0{digest(inner)}\n".encode())

@@ -59,12 +59,12 @@ class TrueMatte:
         return self._method(case, replace(observation, mattes=mattes), starts)
 
 
-class TrueStart:
-    """Another method that starts from the true body in the middle of every exposure.
+class _OtherStart:
+    """Another method with another start.
 
     Args:
         name: name of the method.
-        method: method that starts from the true body.
+        method: method that gets the start.
         body: model of the start.
     """
 
@@ -72,6 +72,10 @@ class TrueStart:
         self.name = name
         self._method = method
         self._body = body
+
+
+class TrueStart(_OtherStart):
+    """Another method that starts from the true body in the middle of every exposure."""
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
         """See `Method`. The shape is true too, but where the truth's betas are another body model's."""
@@ -88,19 +92,8 @@ class TrueStart:
         return self._method(case, observation, true_starts)
 
 
-class TrueFront:
-    """Another method whose start is mirrored in depth where that is nearer to the truth.
-
-    Args:
-        name: name of the method.
-        method: method that gets the start.
-        body: model of the start.
-    """
-
-    def __init__(self, name: str, method: Method, body: Body) -> None:
-        self.name = name
-        self._method = method
-        self._body = body
+class TrueFront(_OtherStart):
+    """Another method whose start is mirrored in depth where that is nearer to the truth."""
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
         """See `Method`."""

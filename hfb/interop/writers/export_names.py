@@ -16,11 +16,7 @@ FILE_NAMES: dict[MotionFormat, str] = {
 }
 """Name of each format's file in a run's folder."""
 
-FILM_NAMES: dict[Film, str] = {
-    "slowmotion": "slowmotion.mp4",
-    "exact": "exact_time.mp4",
-    "overlay": "overlay.mp4",
-}
+FILM_NAMES: dict[Film, str] = {"slowmotion": "slowmotion.mp4", "exact": "exact_time.mp4", "overlay": "overlay.mp4"}
 """Name of each film's file there."""
 
 EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())

@@ -56,10 +56,10 @@ def _write_glb(path: Path, exported: Exported) -> None:
 
 
 _WRITERS: dict[MotionFormat, Callable[[Path, Exported], None]] = {
-    "amass": lambda path, given: write_amass(path, given.motion, given.betas_space, given.amass_rate),
+    "amass": lambda path, exported: write_amass(path, exported.motion, exported.betas_space, exported.amass_rate),
     "glb": _write_glb,
-    "bvh": lambda path, given: write_bvh(path, given.motion),
-    "csv": lambda path, given: write_csv(path, given.motion),
-    "trc": lambda path, given: write_trc(path, given.motion),
-    "c3d": lambda path, given: write_c3d(path, given.motion),
+    "bvh": lambda path, exported: write_bvh(path, exported.motion),
+    "csv": lambda path, exported: write_csv(path, exported.motion),
+    "trc": lambda path, exported: write_trc(path, exported.motion),
+    "c3d": lambda path, exported: write_c3d(path, exported.motion),
 }

@@ -217,20 +217,15 @@ def _loaded(data: bytes, steps: Steps) -> Any:
     if looks_like_torch(data):
         return load_torch(data, steps)
     if data[:2] == _GZIP:
-        return _loaded_inside(_inflated(data, zlib.decompressobj(31).decompress), steps)
+        return load_pickle(_inflated(data, zlib.decompressobj(31).decompress), steps)
     if data[:2] in _ZLIB:
-        return _loaded_inside(_inflated(data, zlib.decompressobj().decompress), steps)
+        return load_pickle(_inflated(data, zlib.decompressobj().decompress), steps)
     if data[:3] == _BZ2:
-        return _loaded_inside(_inflated(data, bz2.BZ2Decompressor().decompress), steps)
+        return load_pickle(_inflated(data, bz2.BZ2Decompressor().decompress), steps)
     if data[:5] == _XZ or data[:1] == b"\x5d":
-        return _loaded_inside(_inflated(data, lzma.LZMADecompressor(memlimit=1 << 28).decompress), steps)
+        return load_pickle(_inflated(data, lzma.LZMADecompressor(memlimit=1 << 28).decompress), steps)
     if data[:512].lstrip()[:1] in (b"{", b"["):
         return _json(data)
-    return load_pickle(data, steps)
-
-
-def _loaded_inside(data: bytes, steps: Steps) -> Any:
-    """Read a decompressed pickle, as joblib writes them; deeper nesting of files is not supported."""
     return load_pickle(data, steps)
 
 

@@ -10,7 +10,15 @@ vertices are kept for the backward pass, all instants of one side by side.
 import numpy as np
 from numba import njit
 
-from hfb.kernels.body.body_skinning import ask, ask_point, gather, move_point, pull, spread, whole_block
+from hfb.kernels.body.body_skinning import (
+    gather,
+    load_gradient,
+    move_point,
+    point_backward,
+    spread,
+    table_backward,
+    whole_block,
+)
 from hfb.kernels.body.body_vector import FEATURES, add_features, displacements
 from hfb.kernels.compile import LOOP, entry
 from hfb.kernels.simd import LANES, lanes, load_lanes, multiply_add, prefetch, store_lanes
@@ -77,22 +85,22 @@ def blend_and_skin(transforms, rotations, rest, directions, steps, starts, joint
         n, block = min(LANES, transforms.shape[0] - first), points[first // LANES]
         spread(transforms, first, n, table)
         _list_features(rotations, first, n, feature)
-        given = table, feature, rest, directions, steps, starts, joints, weights, block
+        inputs = table, feature, rest, directions, steps, starts, joints, weights, block
         if n == LANES:
-            _blend_and_skin_block(*given, first * rest.size, vertices)
+            _blend_and_skin_block(*inputs, first * rest.size, vertices)
         else:
             moved = np.empty((LANES, rest.shape[0], 3), rest.dtype)
-            _blend_and_skin_block(*given, 0, moved)
+            _blend_and_skin_block(*inputs, 0, moved)
             vertices[first:] = moved[:n]
 
 
 @njit(**LOOP)
-def _list_asking(given, first, asking):
-    """Fill `asking` with the vertices of which any of LANES gradients is not zero; returns how many."""
-    count, vertices = 0, given.shape[1]
+def _list_touched(grad_output, first, touched):
+    """Fill `touched` with the vertices of which any of LANES gradients is not zero; returns how many."""
+    count, vertices = 0, grad_output.shape[1]
     for v in range(vertices):
-        _, _, _, some = ask(given, first + 3 * v, 3 * vertices)
-        asking[count] = v
+        _, _, _, some = load_gradient(grad_output, first + 3 * v, 3 * vertices)
+        touched[count] = v
         count += some
     return count
 
@@ -106,30 +114,30 @@ def _gradient_block(
     joints,
     weights,
     points,
-    given,
+    grad_output,
     first,
-    asking,
+    touched,
     count,
-    pulls,
+    of_table,
     of_rest,
     of_feature,
 ):
-    stride = 3 * given.shape[1]
+    stride = 3 * grad_output.shape[1]
     for number in range(count):
-        v = asking[number]
-        _read_ahead(directions, asking[min(number + AHEAD, count - 1)])
-        x, y, z, _ = ask(given, first + 3 * v, stride)
-        asked, at = (x, y, z), 3 * LANES * v
+        v = touched[number]
+        _read_ahead(directions, touched[min(number + AHEAD, count - 1)])
+        x, y, z, _ = load_gradient(grad_output, first + 3 * v, stride)
+        grad_vertex, at = (x, y, z), 3 * LANES * v
         point = load_lanes(points, at), load_lanes(points, at + LANES), load_lanes(points, at + 2 * LANES)
-        pull(starts, joints, weights, v, asked, point, pulls)
-        x, y, z = ask_point(table, starts, joints, weights, v, asked, of_rest)
+        table_backward(starts, joints, weights, v, grad_vertex, point, of_table)
+        x, y, z = point_backward(table, starts, joints, weights, v, grad_vertex, of_rest)
         x, y, z = x * steps[v, 0], y * steps[v, 1], z * steps[v, 2]
         add_features(of_feature, directions, 3 * v * FEATURES, x, y, z)
 
 
 @entry
 def blend_and_skin_gradient(
-    transforms, directions, steps, starts, joints, weights, points, given, of_transforms, of_rotations, of_rest
+    transforms, directions, steps, starts, joints, weights, points, grad_output, of_transforms, of_rotations, of_rest
 ):
     """Compute the gradients of `blend_and_skin`.
 
@@ -143,21 +151,21 @@ def blend_and_skin_gradient(
         joints: joint of each skinning weight.
         weights: skinning weights.
         points: (S / LANES, V, 3 x LANES), vertices before skinning.
-        given: (S, V, 3), gradient by the vertices.
+        grad_output: (S, V, 3), gradient by the vertices.
         of_transforms: gradient, filled.
         of_rotations: gradient, filled but for the root.
         of_rest: gradient, added to.
     """
     kind = transforms.dtype
     table, of_feature = np.empty((transforms.shape[1], 12 * LANES), kind), np.empty((LANES, FEATURES), kind)
-    asking = np.empty(given.shape[1] + 1, np.int64)
+    touched = np.empty(grad_output.shape[1] + 1, np.int64)
     for first in range(0, transforms.shape[0], LANES):
         n, block = min(LANES, transforms.shape[0] - first), points[first // LANES]
-        pulls = np.zeros(table.shape, kind)
+        of_table = np.zeros(table.shape, kind)
         of_feature[:] = 0.0
         spread(transforms, first, n, table)
-        whole, at = whole_block(given, first)
-        count = _list_asking(whole, at, asking)
+        whole, at = whole_block(grad_output, first)
+        count = _list_touched(whole, at, touched)
         _gradient_block(
             table,
             directions,
@@ -168,13 +176,13 @@ def blend_and_skin_gradient(
             block,
             whole,
             at,
-            asking,
+            touched,
             count,
-            pulls,
+            of_table,
             of_rest,
             of_feature,
         )
-        gather(pulls, first, n, of_transforms)
+        gather(of_table, first, n, of_transforms)
         for s in range(n):
             for j in range(1, of_rotations.shape[1]):
                 for r in range(3):

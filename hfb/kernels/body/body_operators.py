@@ -47,8 +47,8 @@ def add_shape_gradient(rows: Tensor, joint_rows: Tensor, of_vertices: Tensor, of
         of_joints: gradient by the joints.
     """
     of_betas = rows.new_empty(rows.shape[0])
-    given = arrays(rows, joint_rows, of_vertices.flatten(), of_joints.flatten())
-    kernels_skinning.add_shape_gradient(*given, of_betas.numpy())
+    inputs = arrays(rows, joint_rows, of_vertices.flatten(), of_joints.flatten())
+    kernels_skinning.add_shape_gradient(*inputs, of_betas.numpy())
     return of_betas
 
 
@@ -113,8 +113,8 @@ def place_joints_gradient(
     """
     of_rotations = rotations.new_empty(rotations.shape)
     of_translations, of_rest = rotations.new_empty(rotations.shape[0], 3), rest_joints.new_zeros(rest_joints.shape)
-    given = arrays(rotations, rest_joints, parents, transforms, of_transforms, of_joints)
-    kernels_skinning.place_gradient(*given, of_rotations.numpy(), of_translations.numpy(), of_rest.numpy())
+    inputs = arrays(rotations, rest_joints, parents, transforms, of_transforms, of_joints)
+    kernels_skinning.place_gradient(*inputs, of_rotations.numpy(), of_translations.numpy(), of_rest.numpy())
     return of_rotations, of_translations, of_rest
 
 
@@ -166,7 +166,13 @@ def _(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights:
 
 @operator("hfb::skin_gradient")
 def skin_gradient(
-    transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor, given: Tensor, wants_rest: bool
+    transforms: Tensor,
+    rest: Tensor,
+    starts: Tensor,
+    joints: Tensor,
+    weights: Tensor,
+    grad_output: Tensor,
+    wants_rest: bool,
 ) -> tuple[Tensor, Tensor]:
     """Return the gradients by the transforms and by the rest vertices.
 
@@ -176,19 +182,25 @@ def skin_gradient(
         starts: (V + 1), where each vertex's joints and weights begin.
         joints: joint of each skinning weight.
         weights: skinning weights.
-        given: (S, V, 3), gradient by the vertices.
+        grad_output: (S, V, 3), gradient by the vertices.
         wants_rest: compute the second one, else it is empty.
     """
     of_transforms = transforms.new_empty(transforms.shape)
     of_rest = rest.new_zeros(rest.shape if wants_rest else (0, 3))
-    known = arrays(transforms, rest, starts, joints, weights, given)
+    known = arrays(transforms, rest, starts, joints, weights, grad_output)
     kernels_skinning.skin_gradient(*known, of_transforms.numpy(), of_rest.numpy())
     return of_transforms, of_rest
 
 
 @skin_gradient.register_fake
 def _(
-    transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor, given: Tensor, wants_rest: bool
+    transforms: Tensor,
+    rest: Tensor,
+    starts: Tensor,
+    joints: Tensor,
+    weights: Tensor,
+    grad_output: Tensor,
+    wants_rest: bool,
 ) -> tuple[Tensor, Tensor]:
     return transforms.new_empty(transforms.shape), rest.new_empty(rest.shape if wants_rest else (0, 3))
 
@@ -197,9 +209,9 @@ def _keep_skin(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
     ctx.save_for_backward(*inputs)
 
 
-def _skin_backward(ctx, given):  # type: ignore[no-untyped-def]
+def _skin_backward(ctx, grad_output):  # type: ignore[no-untyped-def]
     wants_rest = ctx.needs_input_grad[1]
-    of_transforms, of_rest = skin_gradient(*ctx.saved_tensors, given, wants_rest)
+    of_transforms, of_rest = skin_gradient(*ctx.saved_tensors, grad_output, wants_rest)
     return of_transforms, of_rest if wants_rest else None, None, None, None
 
 
@@ -236,8 +248,8 @@ def blend_and_skin(
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
     points = rest.new_empty(_kept(transforms, rest))
-    given = arrays(transforms, rotations, rest, directions, steps, starts, joints, weights)
-    kernels_blend.blend_and_skin(*given, points.numpy(), vertices.numpy())
+    inputs = arrays(transforms, rotations, rest, directions, steps, starts, joints, weights)
+    kernels_blend.blend_and_skin(*inputs, points.numpy(), vertices.numpy())
     return vertices, points
 
 
@@ -264,7 +276,7 @@ def blend_and_skin_gradient(
     joints: Tensor,
     weights: Tensor,
     points: Tensor,
-    given: Tensor,
+    grad_output: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return the gradients by the transforms, the rotations through their displacements, and the rest vertices.
 
@@ -276,12 +288,12 @@ def blend_and_skin_gradient(
         joints: joint of each skinning weight.
         weights: skinning weights.
         points: vertices before skinning, by the forward pass.
-        given: (S, V, 3), gradient by the vertices.
+        grad_output: (S, V, 3), gradient by the vertices.
     """
     of_transforms = transforms.new_empty(transforms.shape)
     of_rotations = transforms.new_zeros(*transforms.shape[:2], 3, 3)
-    of_rest = transforms.new_zeros(given.shape[1:])
-    known = arrays(transforms, directions, steps, starts, joints, weights, points, given)
+    of_rest = transforms.new_zeros(grad_output.shape[1:])
+    known = arrays(transforms, directions, steps, starts, joints, weights, points, grad_output)
     kernels_blend.blend_and_skin_gradient(*known, of_transforms.numpy(), of_rotations.numpy(), of_rest.numpy())
     return of_transforms, of_rotations, of_rest
 
@@ -295,10 +307,10 @@ def _(
     joints: Tensor,
     weights: Tensor,
     points: Tensor,
-    given: Tensor,
+    grad_output: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
     of_rotations = transforms.new_empty(*transforms.shape[:2], 3, 3)
-    return transforms.new_empty(transforms.shape), of_rotations, transforms.new_empty(given.shape[1:])
+    return transforms.new_empty(transforms.shape), of_rotations, transforms.new_empty(grad_output.shape[1:])
 
 
 def _keep_blend(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
@@ -307,8 +319,8 @@ def _keep_blend(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
     ctx.mark_non_differentiable(output[1])
 
 
-def _blend_backward(ctx, given, _):  # type: ignore[no-untyped-def]
-    return *blend_and_skin_gradient(*ctx.saved_tensors, given), None, None, None, None, None
+def _blend_backward(ctx, grad_output, _):  # type: ignore[no-untyped-def]
+    return *blend_and_skin_gradient(*ctx.saved_tensors, grad_output), None, None, None, None, None
 
 
 blend_and_skin.register_autograd(_blend_backward, _keep_blend)

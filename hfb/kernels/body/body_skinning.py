@@ -48,19 +48,19 @@ def add_shape(betas, template, rows, shaped):
 
 
 @njit(**INLINE)
-def _inner_product(rows, k, given):
+def _inner_product(rows, k, vector):
     """Return the inner product of a row with as many numbers."""
-    zero, count = lanes(given.dtype.type(0.0)), given.shape[0]
+    zero, count = lanes(vector.dtype.type(0.0)), vector.shape[0]
     one, two, three, four = zero, zero, zero, zero
     whole, at = count - count % (4 * LANES), k * count
     for n in range(0, whole, 4 * LANES):
-        one = one + load_lanes(rows, at + n) * load_lanes(given, n)
-        two = two + load_lanes(rows, at + n + LANES) * load_lanes(given, n + LANES)
-        three = three + load_lanes(rows, at + n + 2 * LANES) * load_lanes(given, n + 2 * LANES)
-        four = four + load_lanes(rows, at + n + 3 * LANES) * load_lanes(given, n + 3 * LANES)
+        one = one + load_lanes(rows, at + n) * load_lanes(vector, n)
+        two = two + load_lanes(rows, at + n + LANES) * load_lanes(vector, n + LANES)
+        three = three + load_lanes(rows, at + n + 2 * LANES) * load_lanes(vector, n + 2 * LANES)
+        four = four + load_lanes(rows, at + n + 3 * LANES) * load_lanes(vector, n + 3 * LANES)
     total = sum_lanes((one + two) + (three + four))
     for n in range(whole, count):
-        total += rows[k, n] * given[n]
+        total += rows[k, n] * vector[n]
     return total
 
 
@@ -136,11 +136,11 @@ def place_gradient(
     for n in range(rotations.shape[0]):
         for j in range(count):
             for r in range(3):
-                pull = of_transforms[n, j, r, 3]
-                at[j, r] = pull + of_joints[n, j, r]
+                of_place = of_transforms[n, j, r, 3]
+                at[j, r] = of_place + of_joints[n, j, r]
                 for c in range(3):
-                    turn[j, r, c] = of_transforms[n, j, r, c] - pull * rest[j, c]
-                    of_rest[j, c] -= transforms[n, j, r, c] * pull
+                    turn[j, r, c] = of_transforms[n, j, r, c] - of_place * rest[j, c]
+                    of_rest[j, c] -= transforms[n, j, r, c] * of_place
         for j in range(count - 1, 0, -1):
             p = parents[j]
             for c in range(3):
@@ -263,37 +263,38 @@ def skin(transforms, rest, starts, joints, weights, vertices):
 
 
 @njit(**JIT)
-def whole_block(given, first):
+def whole_block(grad_output, first):
     """Return LANES bodies' gradients, zeros where there are fewer: an array, and their position in it.
 
     Args:
-        given: (S, V, 3), gradient by the vertices.
+        grad_output: (S, V, 3), gradient by the vertices.
         first: number of the first body.
     """
-    if given.shape[0] - first >= LANES:
-        return given, first * given.shape[1] * 3
-    block = np.zeros((LANES, given.shape[1], 3), given.dtype)
-    block[: given.shape[0] - first] = given[first:]
+    if grad_output.shape[0] - first >= LANES:
+        return grad_output, first * grad_output.shape[1] * 3
+    block = np.zeros((LANES, grad_output.shape[1], 3), grad_output.dtype)
+    block[: grad_output.shape[0] - first] = grad_output[first:]
     return block, 0
 
 
 @njit(**INLINE)
-def ask(given, at, stride):
+def load_gradient(grad_output, at, stride):
     """Load a vertex's gradients (x, y, z) at every instant, and whether any is not zero.
 
     Vertices that the camera does not see have zeros.
 
     Args:
-        given: (S, V, 3), gradient by the vertices.
+        grad_output: (S, V, 3), gradient by the vertices.
         at: position of the vertex in the first body.
         stride: numbers from one body to the next.
     """
-    x, y, z = load_apart(given, at, stride), load_apart(given, at + 1, stride), load_apart(given, at + 2, stride)
+    x, y = load_apart(grad_output, at, stride), load_apart(grad_output, at + 1, stride)
+    z = load_apart(grad_output, at + 2, stride)
     return x, y, z, some_lane(x) | some_lane(y) | some_lane(z)
 
 
 @njit(**INLINE)
-def pull(starts, joints, weights, v, asked, point, pulls):
+def table_backward(starts, joints, weights, v, grad_vertex, point, of_table):
     """Add a vertex's gradients to those of its transforms: outer products of the gradients and the point.
 
     Args:
@@ -301,31 +302,31 @@ def pull(starts, joints, weights, v, asked, point, pulls):
         joints: joint of each skinning weight.
         weights: skinning weights.
         v: number of the vertex.
-        asked: x, y and z of the vertex's gradient, LANES numbers each.
+        grad_vertex: x, y and z of the vertex's gradient, LANES numbers each.
         point: x, y and z of the vertex before skinning, LANES numbers each.
-        pulls: (24, 12 x LANES), gradient by `table`, added to.
+        of_table: (24, 12 x LANES), gradient by `table`, added to.
     """
     for k in range(starts[v], starts[v + 1]):
         at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
-        x, y, z = asked[0] * weight, asked[1] * weight, asked[2] * weight
-        _pull_column(pulls, at, x, y, z, point[0])
-        _pull_column(pulls, at + 3 * LANES, x, y, z, point[1])
-        _pull_column(pulls, at + 6 * LANES, x, y, z, point[2])
+        x, y, z = grad_vertex[0] * weight, grad_vertex[1] * weight, grad_vertex[2] * weight
+        _column_backward(of_table, at, x, y, z, point[0])
+        _column_backward(of_table, at + 3 * LANES, x, y, z, point[1])
+        _column_backward(of_table, at + 6 * LANES, x, y, z, point[2])
         at += 9 * LANES
-        store_lanes(pulls, at, load_lanes(pulls, at) + x)
-        store_lanes(pulls, at + LANES, load_lanes(pulls, at + LANES) + y)
-        store_lanes(pulls, at + 2 * LANES, load_lanes(pulls, at + 2 * LANES) + z)
+        store_lanes(of_table, at, load_lanes(of_table, at) + x)
+        store_lanes(of_table, at + LANES, load_lanes(of_table, at + LANES) + y)
+        store_lanes(of_table, at + 2 * LANES, load_lanes(of_table, at + 2 * LANES) + z)
 
 
 @njit(**INLINE)
-def _pull_column(pulls, at, x, y, z, coordinate):
-    store_lanes(pulls, at, multiply_add(x, coordinate, load_lanes(pulls, at)))
-    store_lanes(pulls, at + LANES, multiply_add(y, coordinate, load_lanes(pulls, at + LANES)))
-    store_lanes(pulls, at + 2 * LANES, multiply_add(z, coordinate, load_lanes(pulls, at + 2 * LANES)))
+def _column_backward(of_table, at, x, y, z, coordinate):
+    store_lanes(of_table, at, multiply_add(x, coordinate, load_lanes(of_table, at)))
+    store_lanes(of_table, at + LANES, multiply_add(y, coordinate, load_lanes(of_table, at + LANES)))
+    store_lanes(of_table, at + 2 * LANES, multiply_add(z, coordinate, load_lanes(of_table, at + 2 * LANES)))
 
 
 @njit(**INLINE)
-def ask_point(table, starts, joints, weights, v, asked, of_rest):
+def point_backward(table, starts, joints, weights, v, grad_vertex, of_rest):
     """Return the gradient by the point before skinning: the blended rotation's transpose times the vertex's gradient.
 
     Its sum over the lanes is added to the rest vertex's gradient.
@@ -336,14 +337,14 @@ def ask_point(table, starts, joints, weights, v, asked, of_rest):
         joints: joint of each skinning weight.
         weights: skinning weights.
         v: number of the vertex.
-        asked: x, y and z of the vertex's gradient, LANES numbers each.
+        grad_vertex: x, y and z of the vertex's gradient, LANES numbers each.
         of_rest: (V, 3), gradient, added to.
     """
     zero = lanes(table.dtype.type(0.0))
     x, y, z = zero, zero, zero
     for k in range(starts[v], starts[v + 1]):
         at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
-        along_x, along_y, along_z = asked[0] * weight, asked[1] * weight, asked[2] * weight
+        along_x, along_y, along_z = grad_vertex[0] * weight, grad_vertex[1] * weight, grad_vertex[2] * weight
         x = _column_of(table, at, along_x, along_y, along_z, x)
         y = _column_of(table, at + 3 * LANES, along_x, along_y, along_z, y)
         z = _column_of(table, at + 6 * LANES, along_x, along_y, along_z, z)
@@ -362,11 +363,11 @@ def _column_of(table, at, x, y, z, added):
 
 
 @njit(**LOOP)
-def gather(pulls, first, n, of_transforms):
+def gather(of_table, first, n, of_transforms):
     """Reverse `spread` for gradients: write those of n instants' transforms.
 
     Args:
-        pulls: (24, 12 x LANES), gradient by the table.
+        of_table: (24, 12 x LANES), gradient by the table.
         first: number of the first body.
         n: number of bodies, up to LANES.
         of_transforms: (S, 24, 3, 4), gradient, filled.
@@ -375,24 +376,24 @@ def gather(pulls, first, n, of_transforms):
         for c in range(4):
             for r in range(3):
                 for s in range(n):
-                    of_transforms[first + s, j, r, c] = pulls[j, (3 * c + r) * LANES + s]
+                    of_transforms[first + s, j, r, c] = of_table[j, (3 * c + r) * LANES + s]
 
 
 @njit(**LOOP)
-def _skin_gradient_block(table, rest, starts, joints, weights, given, first, pulls, of_rest):
+def _skin_gradient_block(table, rest, starts, joints, weights, grad_output, first, of_table, of_rest):
     stride = 3 * rest.shape[0]
     for v in range(rest.shape[0]):
-        x, y, z, some = ask(given, first + 3 * v, stride)
+        x, y, z, some = load_gradient(grad_output, first + 3 * v, stride)
         if not some:
             continue
-        asked = x, y, z
-        pull(starts, joints, weights, v, asked, (rest[v, 0], rest[v, 1], rest[v, 2]), pulls)
+        grad_vertex = x, y, z
+        table_backward(starts, joints, weights, v, grad_vertex, (rest[v, 0], rest[v, 1], rest[v, 2]), of_table)
         if of_rest.shape[0] > 0:
-            ask_point(table, starts, joints, weights, v, asked, of_rest)
+            point_backward(table, starts, joints, weights, v, grad_vertex, of_rest)
 
 
 @entry
-def skin_gradient(transforms, rest, starts, joints, weights, given, of_transforms, of_rest):
+def skin_gradient(transforms, rest, starts, joints, weights, grad_output, of_transforms, of_rest):
     """Compute the gradients of `skin`.
 
     Args:
@@ -401,14 +402,14 @@ def skin_gradient(transforms, rest, starts, joints, weights, given, of_transform
         starts: (V + 1), where each vertex's joints and weights begin in their lists.
         joints: joint of each skinning weight.
         weights: skinning weights.
-        given: (S, V, 3), gradient by the vertices.
+        grad_output: (S, V, 3), gradient by the vertices.
         of_transforms: (S, 24, 3, 4), gradient, filled.
         of_rest: (V, 3), gradient, added to; an empty one is skipped.
     """
     table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
-        n, pulls = min(LANES, transforms.shape[0] - first), np.zeros(table.shape, rest.dtype)
+        n, of_table = min(LANES, transforms.shape[0] - first), np.zeros(table.shape, rest.dtype)
         spread(transforms, first, n, table)
-        block, at = whole_block(given, first)
-        _skin_gradient_block(table, rest, starts, joints, weights, block, at, pulls, of_rest)
-        gather(pulls, first, n, of_transforms)
+        block, at = whole_block(grad_output, first)
+        _skin_gradient_block(table, rest, starts, joints, weights, block, at, of_table, of_rest)
+        gather(of_table, first, n, of_transforms)

@@ -90,7 +90,7 @@ def add_features(typingctx, features, directions, at, x, y, z):
 
     def codegen(context, builder, signature, arguments):
         (at,) = positions(context, builder, signature, arguments, (2,))
-        asked = [[shuffle(builder, one, one, [lane] * BLOCK) for one in arguments[3:]] for lane in range(LANES)]
+        shares = [[shuffle(builder, one, one, [lane] * BLOCK) for one in arguments[3:]] for lane in range(LANES)]
         for first in range(0, FEATURES, BLOCK):
             there = _ahead(builder, at, first)
             rows = _directions(
@@ -101,7 +101,7 @@ def add_features(typingctx, features, directions, at, x, y, z):
                 pointer, _, align = address(context, builder, signature.args[0], arguments[0], place, BLOCK)
                 total = builder.load(pointer)
                 total.align = align
-                for weight, row in zip(asked[lane], rows, strict=True):
+                for weight, row in zip(shares[lane], rows, strict=True):
                     total = fma(builder, weight, row, total)
                 builder.store(total, pointer).align = align
         return context.get_dummy_value()

@@ -48,8 +48,8 @@ def move_gradient(
         origin: time at which powers are zero.
     """
     of_rotation, of_translation = rotation.new_zeros(rotation.shape), translation.new_zeros(translation.shape)
-    polynomials, instants, *given = arrays(rotation, clock, of_matrices, of_path)
-    kernels.move_gradient(polynomials, instants, origin, *given, of_rotation.numpy(), of_translation.numpy())
+    polynomials, instants, *grad_outputs = arrays(rotation, clock, of_matrices, of_path)
+    kernels.move_gradient(polynomials, instants, origin, *grad_outputs, of_rotation.numpy(), of_translation.numpy())
     return of_rotation, of_translation
 
 
@@ -84,8 +84,8 @@ def boundary(rotations: Tensor, joints: Tensor, step: float) -> tuple[Tensor, Te
         step: time between neighbouring instants, in exposures.
     """
     gradients = rotations.new_empty(rotations.shape), joints.new_empty(joints.shape)
-    given = [one.reshape(*one.shape[:2], -1) for one in arrays(rotations, joints, *gradients)]
-    return rotations.new_tensor(kernels_boundary.boundary(*given[:2], step, *given[2:])), *gradients
+    inputs = [one.reshape(*one.shape[:2], -1) for one in arrays(rotations, joints, *gradients)]
+    return rotations.new_tensor(kernels_boundary.boundary(*inputs[:2], step, *inputs[2:])), *gradients
 
 
 @operator("hfb::rotation_vectors")
@@ -111,21 +111,21 @@ def _(matrices: Tensor, instants: int) -> Tensor:
 
 
 @operator("hfb::rotation_vectors_gradient")
-def rotation_vectors_gradient(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
+def rotation_vectors_gradient(matrices: Tensor, vectors: Tensor, grad_output: Tensor) -> Tensor:
     """Return the gradient by the matrices.
 
     Args:
         matrices: (T, S, J, 3, 3), rotations.
         vectors: result of `rotation_vectors`.
-        given: gradient by the vectors.
+        grad_output: gradient by the vectors.
     """
     gradient = matrices.new_zeros(matrices.shape)
-    kernels_rotation.logarithm_gradient(*arrays(matrices, vectors, given, gradient))
+    kernels_rotation.logarithm_gradient(*arrays(matrices, vectors, grad_output, gradient))
     return gradient
 
 
 @rotation_vectors_gradient.register_fake
-def _(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
+def _(matrices: Tensor, vectors: Tensor, grad_output: Tensor) -> Tensor:
     return matrices.new_empty(matrices.shape)
 
 
@@ -133,8 +133,8 @@ def _keep_logarithm(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def
     ctx.save_for_backward(inputs[0], output)
 
 
-def _logarithm_backward(ctx, given):  # type: ignore[no-untyped-def]
-    return rotation_vectors_gradient(*ctx.saved_tensors, given), None
+def _logarithm_backward(ctx, grad_output):  # type: ignore[no-untyped-def]
+    return rotation_vectors_gradient(*ctx.saved_tensors, grad_output), None
 
 
 rotation_vectors.register_autograd(_logarithm_backward, _keep_logarithm)

@@ -42,7 +42,7 @@ def logarithm(matrices, vectors):
 
 
 @loop_entry
-def logarithm_gradient(matrices, vectors, given, gradient):
+def logarithm_gradient(matrices, vectors, grad_output, gradient):
     """Compute the gradient of `logarithm` by the matrices.
 
     Turning R by a small omega from the left changes its logarithm r by J omega, J the inverse of SO(3)'s left Jacobian
@@ -51,13 +51,14 @@ def logarithm_gradient(matrices, vectors, given, gradient):
     Args:
         matrices: (T, S, J, 3, 3), rotations.
         vectors: result of `logarithm`.
-        given: gradient by the vectors.
+        grad_output: gradient by the vectors.
         gradient: (T, S, J, 3, 3), filled for those instants and joints.
     """
     for t, s, j in np.ndindex(vectors.shape[0], vectors.shape[1], vectors.shape[2]):
-        vector, asked, turned, into = vectors[t, s, j], given[t, s, j], matrices[t, s, j + 1], gradient[t, s, j + 1]
+        vector, grad_vector = vectors[t, s, j], grad_output[t, s, j]
+        turned, into = matrices[t, s, j + 1], gradient[t, s, j + 1]
         x, y, z = np.float64(vector[0]), np.float64(vector[1]), np.float64(vector[2])
-        a, b, c = np.float64(asked[0]), np.float64(asked[1]), np.float64(asked[2])
+        a, b, c = np.float64(grad_vector[0]), np.float64(grad_vector[1]), np.float64(grad_vector[2])
         squared = x * x + y * y + z * z
         half = 0.5 * np.sqrt(squared)
         bend = (1.0 - half / np.tan(half)) / squared if squared > 1e-6 else 1.0 / 12.0

@@ -66,7 +66,7 @@ def as_large(translation, betas, reference, template, rows, parents, moved):
 
 
 @entry
-def as_large_gradient(translation, betas, reference, template, rows, parents, given, of_translation, of_betas):
+def as_large_gradient(translation, betas, reference, template, rows, parents, grad_output, of_translation, of_betas):
     """Compute the gradients of `as_large`.
 
     Args:
@@ -76,7 +76,7 @@ def as_large_gradient(translation, betas, reference, template, rows, parents, gi
         template: (72), rest joints with betas of zero [m].
         rows: (K, 72), see `hfb.body.model.Body.shape_rows`.
         parents: (24), -1 for the root.
-        given: gradient by the rescaled coefficients.
+        grad_output: gradient by the rescaled coefficients.
         of_translation: gradient, filled.
         of_betas: gradient, filled.
     """
@@ -85,19 +85,19 @@ def as_large_gradient(translation, betas, reference, template, rows, parents, gi
     for t in range(translation.shape[0]):
         for d in range(translation.shape[1]):
             for c in range(3):
-                of_translation[t, d, c] = factor * given[t, d, c]
-                of_factor += np.float64(given[t, d, c]) * translation[t, d, c]
-            of_translation[t, d, 3] = given[t, d, 3]
+                of_translation[t, d, c] = factor * grad_output[t, d, c]
+                of_factor += np.float64(grad_output[t, d, c]) * translation[t, d, c]
+            of_translation[t, d, 3] = grad_output[t, d, 3]
         for c in range(3):
-            of_factor += given[t, 0, c] * before[c]
-            of_joints[c] -= given[t, 0, c]
+            of_factor += grad_output[t, 0, c] * before[c]
+            of_joints[c] -= grad_output[t, 0, c]
     of_factor /= _length(before, parents)
     for child in range(1, parents.shape[0]):
         x, y, z = _bone(now, parents[child], child)
-        pull = of_factor / np.sqrt(x * x + y * y + z * z)
+        of_length = of_factor / np.sqrt(x * x + y * y + z * z)
         for c, along in enumerate((x, y, z)):
-            of_joints[3 * child + c] += pull * along
-            of_joints[3 * parents[child] + c] -= pull * along
+            of_joints[3 * child + c] += of_length * along
+            of_joints[3 * parents[child] + c] -= of_length * along
     for k in range(betas.shape[0]):
         total = 0.0
         for n in range(of_joints.shape[0]):

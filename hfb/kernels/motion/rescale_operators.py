@@ -40,7 +40,7 @@ def as_large_gradient(
     template: Tensor,
     rows: Tensor,
     parents: Tensor,
-    given: Tensor,
+    grad_output: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Return the gradients by the coefficients and by the betas.
 
@@ -51,10 +51,10 @@ def as_large_gradient(
         template: (24, 3), rest joints with betas of zero [m]; a constant.
         rows: (K, 72), their displacements per unit of each beta [m]; a constant.
         parents: (24) int32, -1 for the root, which comes first; a constant.
-        given: gradient by the rescaled coefficients.
+        grad_output: gradient by the rescaled coefficients.
     """
     gradients = translation.new_empty(translation.shape), betas.new_empty(betas.shape)
-    people = arrays(translation, betas, reference, template.flatten(), rows, parents, given)
+    people = arrays(translation, betas, reference, template.flatten(), rows, parents, grad_output)
     kernels.as_large_gradient(*people, *arrays(*gradients))
     return gradients
 
@@ -67,7 +67,7 @@ def _(
     template: Tensor,
     rows: Tensor,
     parents: Tensor,
-    given: Tensor,
+    grad_output: Tensor,
 ) -> tuple[Tensor, Tensor]:
     return translation.new_empty(translation.shape), betas.new_empty(betas.shape)
 
@@ -76,8 +76,8 @@ def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
     ctx.save_for_backward(*inputs)
 
 
-def _backward(ctx, given):  # type: ignore[no-untyped-def]
-    return *as_large_gradient(*ctx.saved_tensors, given), None, None, None, None
+def _backward(ctx, grad_output):  # type: ignore[no-untyped-def]
+    return *as_large_gradient(*ctx.saved_tensors, grad_output), None, None, None, None
 
 
 as_large.register_autograd(_backward, _keep)

@@ -16,8 +16,8 @@ def anatomy(poses: Tensor, order: Tensor, tables: Tensor, softness: float) -> tu
         softness: width over which the limits set in [rad].
     """
     values, gradient = poses.new_empty(len(poses)), poses.new_empty(poses.shape)
-    given = poses.detach().contiguous().numpy(), order.numpy(), tables.numpy()
-    kernels.anatomy(*given, softness, values.numpy(), gradient.numpy())
+    inputs = poses.detach().contiguous().numpy(), order.numpy(), tables.numpy()
+    kernels.anatomy(*inputs, softness, values.numpy(), gradient.numpy())
     return values, gradient
 
 
@@ -30,9 +30,9 @@ def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
     ctx.save_for_backward(output[1])
 
 
-def _backward(ctx, given, _):  # type: ignore[no-untyped-def]
+def _backward(ctx, grad_output, _):  # type: ignore[no-untyped-def]
     (gradient,) = ctx.saved_tensors
-    return given[:, None, None] * gradient, None, None, None
+    return grad_output[:, None, None] * gradient, None, None, None
 
 
 anatomy.register_autograd(_backward, _keep)

@@ -20,7 +20,7 @@ def _in_units(joints, lens, j):
 
 
 @njit(**INLINE)
-def _pull_units(joints, lens, j, a, b, c, gradient):
+def _units_backward(joints, lens, j, a, b, c, gradient):
     """Add to the `gradient` (24, 3) of the joints that by joint j's units."""
     x, y, z, pelvis = np.float64(joints[j, 0]), np.float64(joints[j, 1]), np.float64(joints[j, 2]), joints[0, 2]
     a, b, c = a * lens[0] / z, b * lens[1] / z, c / (pelvis * lens[4])
@@ -62,7 +62,7 @@ def off_middle(joints, lenses, middle, scale, share, gradient):
             of_a *= share[0] / (scale[t, j, 0] * count)
             of_b *= share[1] / (scale[t, j, 1] * count)
             of_c *= share[2] / (scale[t, j, 2] * count)
-            _pull_units(here, lenses[t], j, of_a, of_b, of_c, gradient[t, last])
+            _units_backward(here, lenses[t], j, of_a, of_b, of_c, gradient[t, last])
     return total / count
 
 
@@ -81,8 +81,8 @@ def _off_path(joints, lenses, path, scale, sign, weight, gradient):
                 of_a *= sign * weight / (scale[t, j, 0] * count)
                 of_b *= sign * weight / (scale[t, j, 1] * count)
                 of_c *= sign * weight / (scale[t, j, 2] * count)
-                _pull_units(joints[t, closing], lenses[t], j, of_a, of_b, of_c, gradient[t, closing])
-                _pull_units(joints[t, 0], lenses[t], j, -of_a, -of_b, -of_c, gradient[t, 0])
+                _units_backward(joints[t, closing], lenses[t], j, of_a, of_b, of_c, gradient[t, closing])
+                _units_backward(joints[t, 0], lenses[t], j, -of_a, -of_b, -of_c, gradient[t, 0])
     return total / count
 
 

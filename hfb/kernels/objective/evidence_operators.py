@@ -35,8 +35,8 @@ def off_path(joints: Tensor, lenses: Tensor, path: Tensor, scale: Tensor, both_w
         both_ways: compare with the reverse, too.
     """
     gradient = joints.new_empty(joints.shape)
-    *given, into = arrays(joints, lenses, path, scale, gradient)
-    return joints.new_tensor(kernels.off_path(*given, both_ways, into)), gradient
+    *inputs, into = arrays(joints, lenses, path, scale, gradient)
+    return joints.new_tensor(kernels.off_path(*inputs, both_ways, into)), gradient
 
 
 @measure("hfb::off_height", moving=1)
@@ -53,5 +53,5 @@ def off_height(
         scale: its error scale.
     """
     gradient = betas.new_empty(betas.shape)
-    *given, into = arrays(betas, per_beta, gradient)
-    return betas.new_tensor(kernels.off_height(*given, mean_m, log_height, scale, into)), gradient
+    *inputs, into = arrays(betas, per_beta, gradient)
+    return betas.new_tensor(kernels.off_height(*inputs, mean_m, log_height, scale, into)), gradient

@@ -199,7 +199,7 @@ def compare(mean, plate, frame, window, table, seen, image_scales, matte_scales,
 
 
 @njit(**LOOP)
-def _pull_level(values, level, height, width, window, slopes, coarser, after, gradient):
+def _level_backward(values, level, height, width, window, slopes, coarser, after, gradient):
     """Fill a level's part of `gradient` in its window (left, top, right, bottom).
 
     It is the gradient of the level's own losses (`slopes`: of the colours, of the last difference where negative and
@@ -214,8 +214,8 @@ def _pull_level(values, level, height, width, window, slopes, coarser, after, gr
         for c in range(left, right):
             p = level + r * width + c
             last = values[p, 3]
-            asked = equal + less * kind(last < 0) + more * kind(last > 0)  # no branch: nothing predicts it
-            slope = with_last(of_colours * load_four(values, 4 * p), asked)
+            of_alpha = equal + less * kind(last < 0) + more * kind(last > 0)  # no branch: nothing predicts it
+            slope = with_last(of_colours * load_four(values, 4 * p), of_alpha)
             if after >= 0:
                 there = load_four(coarser, 4 * (after + (r // 2) * columns + c // 2))
                 slope = multiply_add(there, of_row * kind(_share(width, c)), slope)
@@ -223,7 +223,7 @@ def _pull_level(values, level, height, width, window, slopes, coarser, after, gr
 
 
 @loop_entry
-def gradient_of(difference, coarse, plate, window, table, slopes, by_image, by_matte, asked, gradient):
+def gradient_of(difference, coarse, plate, window, table, slopes, by_image, by_matte, of_coarse, gradient):
     """Fill the gradient of by_image L_I + by_matte L_alpha by the mean render, in the window.
 
     Args:
@@ -235,15 +235,15 @@ def gradient_of(difference, coarse, plate, window, table, slopes, by_image, by_m
         slopes: (levels, 3), see `compare`.
         by_image: factor of L_I.
         by_matte: factor of L_alpha.
-        asked: work space for the coarse levels' gradients, as large as `coarse`.
+        of_coarse: work space for the coarse levels' gradients, as large as `coarse`.
         gradient: (H W, 4), filled in the window.
     """
     after = np.int64(-1)
     for k in range(table.shape[0] - 2, -1, -1):
         level, height, width = table[k, 0], table[k, 1], table[k, 2]
-        asking = by_image * slopes[k, 0], by_matte * slopes[k, 1], by_matte * slopes[k, 2]
-        values, into = (difference, gradient) if k == 0 else (coarse, asked)
-        _pull_level(values, level, height, width, _window_of(window, k), asking, asked, after, into)
+        slopes_here = by_image * slopes[k, 0], by_matte * slopes[k, 1], by_matte * slopes[k, 2]
+        values, into = (difference, gradient) if k == 0 else (coarse, of_coarse)
+        _level_backward(values, level, height, width, _window_of(window, k), slopes_here, of_coarse, after, into)
         after = level
     width = table[0, 2]
     for r in range(window[1], window[3]):

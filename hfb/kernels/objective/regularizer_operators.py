@@ -18,8 +18,8 @@ def motion_size(rotation: Tensor, translation: Tensor, epsilon: float) -> tuple[
         epsilon: rounds |C|_F at zero.
     """
     gradients = rotation.new_empty(rotation.shape), translation.new_empty(translation.shape)
-    given = [one.reshape(*one.shape[:2], -1) for one in arrays(rotation, translation, *gradients)]
-    value = kernels.motion_size(*given[:2], epsilon, *given[2:])
+    inputs = [one.reshape(*one.shape[:2], -1) for one in arrays(rotation, translation, *gradients)]
+    value = kernels.motion_size(*inputs[:2], epsilon, *inputs[2:])
     return rotation.new_tensor(value), *gradients
 
 

@@ -21,7 +21,7 @@ from hfb.kernels.rendering.render_outline import (
     collect,
     count_pieces,
     cut_outline,
-    pull_outline,
+    outline_backward,
     weigh_pieces,
     wind_outline,
 )
@@ -303,7 +303,7 @@ def take(pixels, picture_gradient, scale, of_coverage):
 
 
 @entry
-def pull_block(
+def block_backward(
     vertices, lens, faces, uv, texture, trace, first, last, of_pictures, scale, gradient, sums, closes, total
 ):
     """Compute the gradients of some bodies of a block.
@@ -335,7 +335,7 @@ def pull_block(
     of_coverage, on_screen = np.empty(longest, np.float64), np.empty((gradient.shape[1], 4), np.float64)
     for s in range(first, last):
         mine, p, q = outline[ends[s, 0] : ends[s + 1, 0]], ends[s, 1], ends[s + 1, 1]
-        given = of_pictures[s if of_pictures.shape[0] > 1 else 0]
+        grad_output = of_pictures[s if of_pictures.shape[0] > 1 else 0]
         on_screen[:] = 0.0
         if texture.shape[0] > 0:
             shade_gradient(
@@ -348,7 +348,7 @@ def pull_block(
                 pixels[p:q],
                 coverage[p:q],
                 codes[p:q],
-                given,
+                grad_output,
                 scale,
                 near,
                 table,
@@ -359,10 +359,10 @@ def pull_block(
                 sums,
             )
         else:
-            take(pixels[p:q], given, scale, of_coverage)
+            take(pixels[p:q], grad_output, scale, of_coverage)
         if gradient.shape[1] > 0:
             of_body = slice(ends[s, 2], ends[s + 1, 2])
-            pull_outline(mine, projected[s], owner[of_body], edge[of_body], shares[of_body], of_coverage, on_screen)
+            outline_backward(mine, projected[s], owner[of_body], edge[of_body], shares[of_body], of_coverage, on_screen)
             to_metres(projected[s], vertices[s], lens, on_screen, gradient[s])
         if closes[s]:
             _move_texels(sums, total)

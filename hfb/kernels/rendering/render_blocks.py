@@ -80,35 +80,35 @@ class Setting:
             *trace, colours, box = kernels.draw_block(vertices, self.lens, self.faces, self.uv, *edges, texels)
             return tuple(trace), colours, box
         if len(texels):
-            given = self.lens, self.soft, self.faces, self.uv, texels
-            projected, *parts, colours = kernels_dibr.draw_body_softly(vertices[0], *given)
+            inputs = self.lens, self.soft, self.faces, self.uv, texels
+            projected, *parts, colours = kernels_dibr.draw_body_softly(vertices[0], *inputs)
         else:
             projected, *parts = kernels_dibr.cover_body_softly(vertices[0], self.lens, self.soft, self.faces)
             parts, colours = [*parts, np.empty(0, np.int32)], np.empty((0, 4), texels.dtype)
         ends = np.array([[0, 0, 0], [len(parts[0]), len(parts[1]), len(parts[3])]])
         return (projected[None], *parts, ends), colours, np.array([0, 0, *self.lens[5:7]], np.int64)
 
-    def pull(
+    def backward(
         self,
         vertices: Array,
         texels: Array,
         block: Block,
         bodies: tuple[int, int],
-        given: Array,
+        grad_output: Array,
         scale: np.floating,
         gradient: Array,
         sums: Array,
         closes: Array,
         total: Array,
     ) -> None:
-        """Compute the gradients of some bodies of a block; see `render_block.pull_block`.
+        """Compute the gradients of some bodies of a block; see `render_block.block_backward`.
 
         Args:
             vertices: (n, V, 3) [m], camera coordinates.
             texels: texture (A, A, 4), the fourth channel 1.
             block: trace of the block.
             bodies: first number and number after the last one.
-            given: (n or 1, H W, C), gradient by the images.
+            grad_output: (n or 1, H W, C), gradient by the images.
             scale: factor of the images.
             gradient: (n, V, 3), filled.
             sums: (A, A, 4), gradient by the texture, added to.
@@ -117,14 +117,14 @@ class Setting:
         """
         tables = self.lens, self.faces, self.uv, texels
         if not self.is_soft:
-            kernels.pull_block(vertices, *tables, block, *bodies, given, scale, gradient, sums, closes, total)
+            kernels.block_backward(vertices, *tables, block, *bodies, grad_output, scale, gradient, sums, closes, total)
             return
         projected, *parts, codes, _ = block
-        trace, asked = (projected[0], *parts), (given[0], scale, gradient[0])
+        trace, of_images = (projected[0], *parts), (grad_output[0], scale, gradient[0])
         if len(texels):
-            kernels_dibr.draw_body_softly_gradient(vertices[0], *tables, trace, codes, *asked, sums)
+            kernels_dibr.draw_body_softly_gradient(vertices[0], *tables, trace, codes, *of_images, sums)
         else:
-            kernels_dibr.cover_body_softly_gradient(vertices[0], self.lens, self.faces, trace, *asked)
+            kernels_dibr.cover_body_softly_gradient(vertices[0], self.lens, self.faces, trace, *of_images)
         if closes[0]:
             kernels.move_texels(sums, total)
 
@@ -175,7 +175,7 @@ def _around(boxes: Sequence[Sequence[int]]) -> Box:
     return min(left), min(top), max(*right, min(left)), max(*bottom, min(top))
 
 
-def pull_bodies(
+def bodies_backward(
     of_pictures: Array,
     vertices: Array,
     texels: Array,
@@ -201,21 +201,21 @@ def pull_bodies(
     size = texels.shape if of_texture else (0, 0, 4)
     total = np.zeros((*size[:2], 3), texels.dtype)
     scale = vertices.dtype.type(1 / count if setting.mean else 1)
-    given = of_pictures.reshape(len(of_pictures), -1, of_pictures.shape[3])
+    grad_output = of_pictures.reshape(len(of_pictures), -1, of_pictures.shape[3])
     limits = [group * count // groups for group in range(groups + 1)]
     closes = np.zeros(count, np.bool_)
 
-    def pull(first: int, last: int, sums: Array) -> Array:
+    def backward(first: int, last: int, sums: Array) -> Array:
         for at in range(first // at_once * at_once, last, at_once):
             some = slice(at, at + at_once)
             bodies = max(first - at, 0), min(last - at, at_once)
-            asking = given if setting.mean else given[some]
-            setting.pull(
+            grad_some = grad_output if setting.mean else grad_output[some]
+            setting.backward(
                 vertices[some],
                 texels,
                 blocks[at // at_once],
                 bodies,
-                asking,
+                grad_some,
                 scale,
                 gradient[some],
                 sums,
@@ -226,11 +226,13 @@ def pull_bodies(
 
     if setting.threads > 1:
         tasks = run_tasks(
-            lambda group: pull(limits[group], limits[group + 1], np.zeros(size, texels.dtype)), groups, setting.threads
+            lambda group: backward(limits[group], limits[group + 1], np.zeros(size, texels.dtype)),
+            groups,
+            setting.threads,
         )
         for sums in tasks:
             kernels.move_texels(sums, total)
     else:  # the same sums in the same order, in one place that stays in the CPU's cache
         closes[[limit - 1 for limit in limits[1:]]] = of_texture
-        pull(0, count, np.zeros(size, texels.dtype))
+        backward(0, count, np.zeros(size, texels.dtype))
     return gradient, total

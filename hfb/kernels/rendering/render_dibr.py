@@ -295,7 +295,7 @@ def draw_body_softly(vertices, lens, soft, faces, uv, texture):
 
 
 @njit(**LOOP)
-def _pull_faces(width, faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen):
+def _faces_backward(width, faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen):
     """Add the pull of every halo pixel's R_S on the sides that reach it: d(distance^2) = -2 (p - closest) . v."""
     before, px, py = -1, 0.0, 0.0
     for p in range(owner.shape[0]):
@@ -332,7 +332,7 @@ def cover_body_softly_gradient(vertices, lens, faces, trace, picture_gradient, s
     projected, _, pixels, _, owner, of_side, weights = trace
     on_screen, of_coverage = np.zeros((vertices.shape[0], 3), np.float64), np.empty(pixels.shape[0], np.float64)
     take(pixels, picture_gradient, scale, of_coverage)
-    _pull_faces(np.int64(lens[5]), faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen)
+    _faces_backward(np.int64(lens[5]), faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen)
     to_metres(projected, vertices, lens, on_screen, gradient)
 
 
@@ -383,5 +383,5 @@ def draw_body_softly_gradient(
         texture_gradient,
     )
     if gradient.shape[0] > 0:
-        _pull_faces(width, faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen)
+        _faces_backward(width, faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen)
         to_metres(projected, vertices, lens, on_screen, gradient)

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from hfb.kernels.rendering.render_blocks import Block, Box, Setting, bodies_at_once, draw_bodies, pull_bodies
+from hfb.kernels.rendering.render_blocks import Block, Box, Setting, bodies_at_once, bodies_backward, draw_bodies
 from hfb.typing import Array, Tensor
 
 _PARTS = 9  # tensors kept of each block of bodies: its trace, see `render_block`
@@ -108,7 +108,7 @@ def _input_gradients(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tenso
     """Return the wanted gradients by the vertices and by the texture."""
     vertices, texture = ctx.saved_tensors
     wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
-    of_vertices, of_texture = pull_bodies(
+    of_vertices, of_texture = bodies_backward(
         of_pictures, vertices.detach().numpy(), ctx.texels, ctx.blocks, ctx.setting, *wanted
     )
     return torch.from_numpy(of_vertices) if wanted[0] else None, torch.from_numpy(of_texture) if wanted[1] else None
@@ -213,8 +213,10 @@ def draw_gradient(
     texels, *parts = (part.detach().numpy() for part in kept)
     blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
     setting = Setting.of(uv, topology, lens, soft, mean, threads)
-    given = of_pictures.detach().contiguous().numpy()
-    gradients = pull_bodies(given, vertices.detach().numpy(), texels, blocks, setting, of_vertices, of_texture)
+    grad_output = of_pictures.detach().contiguous().numpy()
+    gradients = bodies_backward(
+        grad_output, vertices.detach().numpy(), texels, blocks, setting, of_vertices, of_texture
+    )
     return torch.from_numpy(gradients[0]), torch.from_numpy(gradients[1])
 
 

@@ -450,7 +450,7 @@ def weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, w
 
 
 @njit(**LOOP)
-def pull_outline(outline, projected, owner, edge, shares, of_coverage, gradient):
+def outline_backward(outline, projected, owner, edge, shares, of_coverage, gradient):
     """Add the gradient by the outline's x and y through the pixels' coverage.
 
     Moving a piece p(t) by v(t) changes its pixel's coverage by the integral of cross(v, dp): the swept area. The

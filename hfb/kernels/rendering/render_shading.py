@@ -221,10 +221,9 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
         n_rim += (code < 0) & (code != NOTHING)
         if code == NOTHING:
             colours[m, 0], colours[m, 1], colours[m, 2], colours[m, 3] = 0.0, 0.0, 0.0, min(coverage[m], 1.0)
-        if n == BATCH:
+        if n == BATCH or m == pixels.shape[0] - 1:
             _mix_faces(n, width, pixels, codes, coverage, projected, faces, uv, texture, near, table, places, colours)
             n = 0
-    _mix_faces(n, width, pixels, codes, coverage, projected, faces, uv, texture, near, table, places, colours)
     for first in range(0, n_rim, BATCH):
         n = min(n_rim - first, BATCH)
         for q in range(n):
@@ -295,7 +294,7 @@ def _ask_corners(n, size, table):
 
 
 @njit(**LOOP)
-def _pull_corners(n, table, places, gradient):
+def _corners_backward(n, table, places, gradient):
     """Add each pixel's gradient by its face's corners."""
     for m in range(n):
         first, second = table[OF_B1 + m], table[OF_B2 + m]
@@ -311,7 +310,7 @@ def _pull_corners(n, table, places, gradient):
 
 
 @njit(**LOOP)
-def _pull_ends(n, table, places, gradient):
+def _ends_backward(n, table, places, gradient):
     """Add each pixel's gradient by the two ends of its edge: t = (p - start).d / d.d, its derivatives at fixed p."""
     for m in range(n):
         t, pull = table[B1 + m], table[OF_B1 + m]
@@ -360,7 +359,7 @@ def _ask_faces(
     _weigh_corners(n, table)
     _ask(n, texture, picture_gradient, scale, table, places, of_coverage, texture_gradient)
     if on_screen.shape[0] > 0:
-        _pull_corners(n, table, places, on_screen)
+        _corners_backward(n, table, places, on_screen)
 
 
 @njit(**LOOP)
@@ -416,7 +415,7 @@ def shade_gradient(
         n_rim += (code < 0) & (code != NOTHING)
         if code == NOTHING:
             of_coverage[m] = scale * np.float64(picture_gradient[np.uint32(pixels[m]), 3])
-        if n == BATCH:
+        if n == BATCH or m == pixels.shape[0] - 1:
             _ask_faces(
                 n,
                 width,
@@ -437,25 +436,6 @@ def shade_gradient(
                 texture_gradient,
             )
             n = 0
-    _ask_faces(
-        n,
-        width,
-        faces,
-        uv,
-        texture,
-        projected,
-        pixels,
-        coverage,
-        codes,
-        picture_gradient,
-        scale,
-        near,
-        table,
-        places,
-        of_coverage,
-        on_screen,
-        texture_gradient,
-    )
     for first in range(0, n_rim, BATCH):
         n = min(n_rim - first, BATCH)
         for q in range(n):
@@ -465,4 +445,4 @@ def shade_gradient(
         _weigh_ends(n, table)
         _ask(n, texture, picture_gradient, scale, table, places, of_coverage, texture_gradient)
         if on_screen.shape[0] > 0:
-            _pull_ends(n, table, places, on_screen)
+            _ends_backward(n, table, places, on_screen)

@@ -41,9 +41,9 @@ def dots(typingctx, picture, pixel, texture, a, b, c, d):
 
     def codegen(context, builder, signature, arguments):
         at, *corners = positions(context, builder, signature, arguments, (1, 3, 4, 5, 6))
-        given = load(context, builder, signature.args[0], arguments[0], at, 4)
+        grad_pixel = load(context, builder, signature.args[0], arguments[0], at, 4)
         texels = (load(context, builder, signature.args[2], arguments[2], corner, 4) for corner in corners)
-        p, q, r, s = (builder.fmul(given, texel) for texel in texels)
+        p, q, r, s = (builder.fmul(grad_pixel, texel) for texel in texels)
         # Sums along four registers as one register of four sums: transposed by halves.
         pq = builder.fadd(shuffle(builder, p, q, (0, 2, 4, 6)), shuffle(builder, p, q, (1, 3, 5, 7)))
         rs = builder.fadd(shuffle(builder, r, s, (0, 2, 4, 6)), shuffle(builder, r, s, (1, 3, 5, 7)))
@@ -76,12 +76,12 @@ def add_to_texels(typingctx, texture, a, b, c, d, weight_a, weight_b, weight_c, 
 
     def codegen(context, builder, signature, arguments):
         *corners, at = positions(context, builder, signature, arguments, (1, 2, 3, 4, 10))
-        given = load(context, builder, signature.args[9], arguments[9], at, 4)
+        grad_pixel = load(context, builder, signature.args[9], arguments[9], at, 4)
         for corner, weight in zip(corners, arguments[5:9], strict=True):
             pointer, four, align = address(context, builder, signature.args[0], arguments[0], corner, 4)
             held = builder.load(pointer)
             held.align = align
-            builder.store(fma(builder, splat(builder, weight, four), given, held), pointer).align = align
+            builder.store(fma(builder, splat(builder, weight, four), grad_pixel, held), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen
@@ -137,11 +137,11 @@ def add_scaled(typingctx, picture, pixel, colours, at, scale):
 
     def codegen(context, builder, signature, arguments):
         to, source = positions(context, builder, signature, arguments, (1, 3))
-        given = load(context, builder, signature.args[2], arguments[2], source, 4)
+        grad_pixel = load(context, builder, signature.args[2], arguments[2], source, 4)
         pointer, four, align = address(context, builder, signature.args[0], arguments[0], to, 4)
         held = builder.load(pointer)
         held.align = align
-        builder.store(fma(builder, splat(builder, arguments[4], four), given, held), pointer).align = align
+        builder.store(fma(builder, splat(builder, arguments[4], four), grad_pixel, held), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen
@@ -167,10 +167,10 @@ def add_corner(typingctx, gradient, at, weight, x, y, z):
         pointer, four, align = address(context, builder, signature.args[0], arguments[0], to, 4)
         held = builder.load(pointer)
         held.align = align
-        asked = ir.Constant(four, [0.0, 0.0, 0.0, 0.0])
+        added = ir.Constant(four, [0.0, 0.0, 0.0, 0.0])
         for lane, number in enumerate(arguments[3:6]):
-            asked = builder.insert_element(asked, number, ir.Constant(ir.IntType(32), lane))
-        builder.store(fma(builder, splat(builder, arguments[2], four), asked, held), pointer).align = align
+            added = builder.insert_element(added, number, ir.Constant(ir.IntType(32), lane))
+        builder.store(fma(builder, splat(builder, arguments[2], four), added, held), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen
@@ -212,9 +212,9 @@ def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alph
             pointer, four, align = address(context, builder, signature.args[0], arguments[0], position, 4)
             value = _convert(context, builder, builder.fsub(vector, first), four.element)
             if number < 2:
-                given, kind = arguments[9 + number], signature.args[9 + number]
-                given = context.cast(builder, given, kind, signature.args[0].dtype)
-                value = builder.insert_element(value, given, ir.Constant(ir.IntType(32), 3))
+                extra, kind = arguments[9 + number], signature.args[9 + number]
+                extra = context.cast(builder, extra, kind, signature.args[0].dtype)
+                value = builder.insert_element(value, extra, ir.Constant(ir.IntType(32), 3))
             builder.store(value, pointer).align = align
         return context.get_dummy_value()
 

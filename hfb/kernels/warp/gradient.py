@@ -28,13 +28,13 @@ TWO = wp.constant(wp.float64(2.0))
 
 
 @wp.kernel
-def pull_faces(
+def faces_backward(
     projected: wp.array2d(dtype=wp.vec3d),
     front: wp.array2d(dtype=wp.uint8),
     faces: wp.array2d(dtype=wp.int32),
     uv: wp.array2d(dtype=wp.vec2d),
     codes: wp.array3d(dtype=wp.int32),
-    pulls: wp.array3d(dtype=wp.vec3d),
+    of_pixels: wp.array3d(dtype=wp.vec3d),
     on_corners: wp.array3d(dtype=wp.vec3d),
 ):
     """Compute gradients by each face's corners (x, y, 1/z) through the colours it shows. Threads: bodies, faces.
@@ -48,7 +48,7 @@ def pull_faces(
         faces: (F, 3), vertex numbers.
         uv: (F, 3), texture coordinates of the faces' corners.
         codes: (B, H, W), what each pixel shows.
-        pulls: (B, H, W), gradient by each pixel's coverage, u and v.
+        of_pixels: (B, H, W), gradient by each pixel's coverage, u and v.
         on_corners: (B, F, 3), gradient, filled.
     """
     b, f = wp.tid()
@@ -68,8 +68,8 @@ def pull_faces(
                     w = wp.cw_mul(weights, depths)
                     scale = ONE / (w[0] + w[1] + w[2])
                     at = (w[0] * uv[f, 0] + w[1] * uv[f, 1] + w[2] * uv[f, 2]) * scale
-                    pull = pulls[b, row, column]
-                    slopes = wp.vec2d(pull[1], pull[2]) * scale
+                    of_pixel = of_pixels[b, row, column]
+                    slopes = wp.vec2d(of_pixel[1], of_pixel[2]) * scale
                     d_p, d_q = wp.dot(slopes, uv[f, 0] - at), wp.dot(slopes, uv[f, 1] - at)
                     d_r = wp.dot(slopes, uv[f, 2] - at)
                     base = d_p * p[2]
@@ -100,15 +100,15 @@ def rim_pull(centre: wp.vec2d, start: wp.vec3d, end: wp.vec3d, by_uv: wp.float64
     of_end = wp.vec3d(ZERO, ZERO, (ONE - t) * t * start[2] * difference)
     if t > ZERO and t < ONE:
         # t = (p - p0).d / d.d: its derivatives by p0 and p1 at fixed p.
-        pull = start[2] * end[2] * difference / (x * x + y * y)
+        of_t = start[2] * end[2] * difference / (x * x + y * y)
         rx, ry = centre[0] - start[0], centre[1] - start[1]
-        of_start = of_start + pull * wp.vec3d(TWO * t * x - x - rx, TWO * t * y - y - ry, ZERO)
-        of_end = of_end + pull * wp.vec3d(rx - TWO * t * x, ry - TWO * t * y, ZERO)
+        of_start = of_start + of_t * wp.vec3d(TWO * t * x - x - rx, TWO * t * y - y - ry, ZERO)
+        of_end = of_end + of_t * wp.vec3d(rx - TWO * t * x, ry - TWO * t * y, ZERO)
     return of_start, of_end
 
 
 @wp.kernel
-def pull_edges(
+def edges_backward(
     projected: wp.array2d(dtype=wp.vec3d),
     front: wp.array2d(dtype=wp.uint8),
     faces: wp.array2d(dtype=wp.int32),
@@ -119,7 +119,7 @@ def pull_edges(
     place: wp.array(dtype=wp.vec3i),
     shares: wp.array(dtype=wp.vec2d),
     codes: wp.array3d(dtype=wp.int32),
-    pulls: wp.array3d(dtype=wp.vec3d),
+    of_pixels: wp.array3d(dtype=wp.vec3d),
     on_ends: wp.array3d(dtype=wp.vec3d),
 ):
     """Compute gradients by the ends of each outline edge, in the order of `edge_vertices`. Threads: bodies, edges.
@@ -138,7 +138,7 @@ def pull_edges(
         place: row, column and edge of each piece.
         shares: shares of each piece, derivative of coverage by the edge's ends.
         codes: (B, H, W), what each pixel shows.
-        pulls: (B, H, W), gradient by each pixel's coverage, u and v.
+        of_pixels: (B, H, W), gradient by each pixel's coverage, u and v.
         on_ends: (B, E, 2), gradient, filled.
     """
     b, e = wp.tid()
@@ -154,14 +154,14 @@ def pull_edges(
         for piece in range(n, beyond):
             at = place[piece]
             if at[2] > 0:
-                pull, share = pulls[b, at[0], at[1]], shares[piece]
-                swept = pull[0] * wp.vec3d(-y, x, ZERO)
+                of_pixel, share = of_pixels[b, at[0], at[1]], shares[piece]
+                swept = of_pixel[0] * wp.vec3d(-y, x, ZERO)
                 of_start = of_start + share[0] * swept
                 of_end = of_end + share[1] * swept
                 if codes.shape[0] > 0:  # noqa: SIM102 (of an "and" Warp would read both sides)
                     if codes[b, at[0], at[1]] == -1 - e:
                         centre = wp.vec2d(wp.float64(at[1]) + HALF, wp.float64(at[0]) + HALF)
-                        by_uv = pull[1] * across[0] + pull[2] * across[1]
+                        by_uv = of_pixel[1] * across[0] + of_pixel[2] * across[1]
                         more_start, more_end = rim_pull(centre, start, end, by_uv)
                         of_start = of_start + more_start
                         of_end = of_end + more_end
@@ -200,8 +200,8 @@ def gather(
         corners: numbers 3 f + k of each vertex's corners.
         end_begins: position of each vertex's first end.
         ends: numbers 2 e + k of each vertex's ends.
-        on_corners: (B, F, 3), by `pull_faces`.
-        on_ends: (B, E, 2), by `pull_edges`.
+        on_corners: (B, F, 3), by `faces_backward`.
+        on_ends: (B, E, 2), by `edges_backward`.
         gradient: (B, V, 3), filled.
     """
     b, i = wp.tid()

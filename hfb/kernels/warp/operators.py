@@ -179,29 +179,29 @@ def draw_by_warp_gradient(
         of_textures: compute the second one, else it is empty.
     """
     projected, front, begins, place, shares, alpha, codes = kept
-    bodies, coloured, given = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
+    bodies, coloured, grad_output = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
     subframes = bodies // len(lenses)
-    groups = given.unflatten(0, (len(textures), -1)).flatten(1).abs().amax(1).double().clamp_min(1e-300)
+    groups = grad_output.unflatten(0, (len(textures), -1)).flatten(1).abs().amax(1).double().clamp_min(1e-300)
     steps = 2.0**_EXACT / max(alpha.numel() // len(textures), 1) / groups  # of each texture alone
     total = vertices.new_zeros(textures.shape if of_textures else (1, 0, 0, 3), dtype=torch.int64)
-    pulls = vertices.new_empty(*alpha.shape, 3, dtype=torch.float64)
+    of_pixels = vertices.new_empty(*alpha.shape, 3, dtype=torch.float64)
     with _prepare(vertices):
         faces, edge_vertices, edge_faces = (_array(table) for table in topology[:3])
         seen = _points(projected), _array(front), faces
         of_uv, shown = _array(uv, wp.vec2d), _array(codes)
         surfaces = _array(alpha), shown, *seen, edge_vertices, edge_faces, of_uv, _array(textures)
-        into = _array(steps), _points(pulls), _array(total)
-        _launch(surface.pull_pixels, alpha.shape, vertices, *surfaces, subframes, _array(given), *into)
+        into = _array(steps), _points(of_pixels), _array(total)
+        _launch(surface.pixels_backward, alpha.shape, vertices, *surfaces, subframes, _array(grad_output), *into)
         gradient = vertices.new_empty(vertices.shape if of_vertices else (bodies, 0, 3))
         if of_vertices:
-            on_corners = pulls.new_empty(bodies if coloured else 0, len(topology[0]), 3, 3)
-            on_ends = pulls.new_empty(bodies, len(topology[1]), 2, 3)
+            on_corners = of_pixels.new_empty(bodies if coloured else 0, len(topology[0]), 3, 3)
+            on_ends = of_pixels.new_empty(bodies, len(topology[1]), 2, 3)
             if coloured:
-                pull = _points(pulls), _points(on_corners)
-                _launch(gradients.pull_faces, on_corners.shape[:2], vertices, *seen, of_uv, shown, *pull)
+                into_corners = _points(of_pixels), _points(on_corners)
+                _launch(gradients.faces_backward, on_corners.shape[:2], vertices, *seen, of_uv, shown, *into_corners)
             pieces = _array(begins), _array(place, wp.vec3i), _array(shares, wp.vec2d)
-            ends = *seen, edge_vertices, edge_faces, of_uv, *pieces, shown, _points(pulls), _points(on_ends)
-            _launch(gradients.pull_edges, on_ends.shape[:2], vertices, *ends)
+            ends = *seen, edge_vertices, edge_faces, of_uv, *pieces, shown, _points(of_pixels), _points(on_ends)
+            _launch(gradients.edges_backward, on_ends.shape[:2], vertices, *ends)
             sums = _points(on_corners), _points(on_ends), _array(gradient)
             members = *(_array(table) for table in topology[3:7]), *sums
             where = _array(vertices), _points(projected), _array(lenses), subframes

@@ -227,7 +227,7 @@ def add_in_steps(
 
 
 @wp.kernel
-def pull_pixels(
+def pixels_backward(
     alpha: wp.array3d(dtype=wp.float64),
     codes: wp.array3d(dtype=wp.int32),
     projected: wp.array2d(dtype=wp.vec3d),
@@ -240,7 +240,7 @@ def pull_pixels(
     subframes: wp.int32,
     of_pictures: wp.array4d(dtype=Any),
     steps: wp.array(dtype=wp.float64),
-    pulls: wp.array3d(dtype=wp.vec3d),
+    of_pixels: wp.array3d(dtype=wp.vec3d),
     of_textures: wp.array4d(dtype=wp.int64),
 ):
     """Compute the gradients of `shade` by what each pixel shows. Threads: bodies, rows, columns.
@@ -258,19 +258,19 @@ def pull_pixels(
         subframes: bodies per image.
         of_pictures: gradient by the images.
         steps: number of steps in 1, of each texture.
-        pulls: (B, H, W), gradient by coverage, u and v, filled.
+        of_pixels: (B, H, W), gradient by coverage, u and v, filled.
         of_textures: (G, A, A, 3), gradient in steps, zeros before, added to; an empty one is skipped.
     """
     b, row, column = wp.tid()
-    pull, share, size = wp.vec3d(), alpha[b, row, column], textures.shape[1]
+    of_pixel, share, size = wp.vec3d(), alpha[b, row, column], textures.shape[1]
     if share > ZERO:
         n, scale = b / subframes, ONE / wp.float64(subframes)
         g = texture_of(n, of_pictures.shape[0], textures.shape[0])
-        pull = wp.vec3d(wp.float64(of_pictures[n, row, column, of_pictures.shape[3] - 1]) * scale, ZERO, ZERO)
+        of_pixel = wp.vec3d(wp.float64(of_pictures[n, row, column, of_pictures.shape[3] - 1]) * scale, ZERO, ZERO)
         if size > 0:
             code = codes[b, row, column]
             if code != NONE:
-                given = scale * wp.vec3d(
+                grad_colour = scale * wp.vec3d(
                     wp.float64(of_pictures[n, row, column, 0]),
                     wp.float64(of_pictures[n, row, column, 1]),
                     wp.float64(of_pictures[n, row, column, 2]),
@@ -280,28 +280,28 @@ def pull_pixels(
                 c, r = first_texel(x, size), first_texel(y, size)
                 right, below = x - wp.float64(c), y - wp.float64(r)
                 t00, t01 = (
-                    wp.dot(given, colour_at(textures, g, r, c)),
-                    wp.dot(given, colour_at(textures, g, r, c + step)),
+                    wp.dot(grad_colour, colour_at(textures, g, r, c)),
+                    wp.dot(grad_colour, colour_at(textures, g, r, c + step)),
                 )
-                t10 = wp.dot(given, colour_at(textures, g, r + step, c))
-                t11 = wp.dot(given, colour_at(textures, g, r + step, c + step))
+                t10 = wp.dot(grad_colour, colour_at(textures, g, r + step, c))
+                t11 = wp.dot(grad_colour, colour_at(textures, g, r + step, c + step))
                 upper, lower = t00 + right * (t01 - t00), t10 + right * (t11 - t10)
                 slope_u, slope_v, last = ZERO, ZERO, wp.float64(size - 1)
                 if x > ZERO and x < last:
                     slope_u = share * wp.float64(size) * ((ONE - below) * (t01 - t00) + below * (t11 - t10))
                 if y > ZERO and y < last:
                     slope_v = share * wp.float64(size) * (lower - upper)
-                pull = wp.vec3d(pull[0] + upper + below * (lower - upper), slope_u, slope_v)
+                of_pixel = wp.vec3d(of_pixel[0] + upper + below * (lower - upper), slope_u, slope_v)
                 if of_textures.shape[1] > 0:
-                    given = share * given
-                    add_in_steps((ONE - below) * (ONE - right) * given, steps[g], g, r, c, of_textures)
-                    add_in_steps((ONE - below) * right * given, steps[g], g, r, c + step, of_textures)
-                    add_in_steps(below * (ONE - right) * given, steps[g], g, r + step, c, of_textures)
-                    add_in_steps(below * right * given, steps[g], g, r + step, c + step, of_textures)
-    pulls[b, row, column] = pull
+                    grad_colour = share * grad_colour
+                    add_in_steps((ONE - below) * (ONE - right) * grad_colour, steps[g], g, r, c, of_textures)
+                    add_in_steps((ONE - below) * right * grad_colour, steps[g], g, r, c + step, of_textures)
+                    add_in_steps(below * (ONE - right) * grad_colour, steps[g], g, r + step, c, of_textures)
+                    add_in_steps(below * right * grad_colour, steps[g], g, r + step, c + step, of_textures)
+    of_pixels[b, row, column] = of_pixel
 
 
 for _real in (wp.float32, wp.float64):
     _some = {"textures": wp.array4d(dtype=_real)}
     wp.overload(shade, {**_some, "pictures": wp.array4d(dtype=_real)})
-    wp.overload(pull_pixels, {**_some, "of_pictures": wp.array4d(dtype=_real)})
+    wp.overload(pixels_backward, {**_some, "of_pictures": wp.array4d(dtype=_real)})

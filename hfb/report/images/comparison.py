@@ -7,7 +7,7 @@ import torch
 from hfb.evaluation.prediction import Prediction
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
-from hfb.report.images.strip import captioned
+from hfb.report.images.strip import captioned, stacked
 from hfb.typing import Array, Float
 
 _CELL_PX = 144
@@ -41,9 +41,7 @@ def draw_comparison(
         below += _subframes("true", sharp[frame], observation) if sharp is not None else []
         for line in (above, below):
             rows.append(np.concatenate([captioned(_small(picture[window]), name) for name, picture in line], 1))
-    width_px = max(row.shape[1] for row in rows)
-    padded = [np.pad(row, ((0, 0), (0, width_px - row.shape[1]), (0, 0)), constant_values=1) for row in rows]
-    return np.concatenate(padded).clip(0, 1)
+    return stacked(rows).clip(0, 1)
 
 
 def _subframes(

@@ -12,7 +12,7 @@ import numpy as np
 from hfb.body.skeleton import BONES
 from hfb.evaluation.motion_difference import MotionDifference
 from hfb.motion.sampled import SampledMotion
-from hfb.report.images.strip import captioned
+from hfb.report.images.strip import captioned, stacked
 from hfb.report.plots.plot_style import FAINT_GRAY, GRAY
 from hfb.typing import Array, Float, Int
 
@@ -75,10 +75,7 @@ def stack_pictures(pictures: list[tuple[str, Float[Array, "_h _w 3"]]]) -> Float
     Args:
         pictures: (caption, image); longer ones than a screen can scroll are scaled down.
     """
-    cells = [captioned(_bounded(picture), caption) for caption, picture in pictures]
-    width = max((cell.shape[1] for cell in cells), default=8)
-    padded = [np.pad(cell, ((0, 0), (0, width - cell.shape[1]), (0, 0)), constant_values=1) for cell in cells]
-    return np.concatenate(padded) if padded else np.ones((8, 8, 3), np.float32)
+    return stacked([captioned(_bounded(picture), caption) for caption, picture in pictures])
 
 
 def png_bytes(picture: Float[Array, "Y X 3"]) -> bytes:

@@ -113,6 +113,17 @@ def captioned(picture: Float[Array, "H W 3"], caption: str) -> Float[Array, "Y X
     return cell
 
 
+def stacked(pictures: Sequence[Float[Array, "_h _w 3"]]) -> Float[Array, "Y X 3"]:
+    """Return pictures under one another, filled up with white to the widest; a small white one of none.
+
+    Args:
+        pictures: sRGB in [0, 1].
+    """
+    width = max((one.shape[1] for one in pictures), default=8)
+    padded = [np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0)), constant_values=1) for one in pictures]
+    return np.concatenate(padded) if padded else np.ones((8, 8, 3), np.float32)
+
+
 def _written(note: str, width: int) -> Float[Array, "Y X 3"]:
     """Draw text as an image of this width."""
     lines, words = [""], note.split()

@@ -12,6 +12,7 @@ from hfb.evaluation.cells import is_start
 from hfb.evaluation.table_page import is_oracle
 from hfb.evaluation.table_text import UNKNOWN, interval, number
 from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.report.images.several_motions import png_bytes
 from hfb.report.pages.markdown import markdown
 from hfb.report.pages.page import page, small_picture
 
@@ -107,9 +108,7 @@ def _plot(path: Path) -> bytes:
     pixels = read_picture_srgb(path)
     height = max(1, round(pixels.shape[0] * _PLOT_PX / pixels.shape[1]))
     small = cv2.resize(pixels, (_PLOT_PX, height), interpolation=cv2.INTER_AREA)
-    done, encoded = cv2.imencode(".png", np.round(small[..., ::-1] * 255).astype(np.uint8))
-    assert done, "OpenCV writes PNG"
-    return encoded.tobytes()
+    return png_bytes(small)
 
 
 def _cases(answers: Sequence[Answer], methods: Sequence[str]) -> list[dict[str, Any]]:

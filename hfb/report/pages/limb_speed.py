@@ -67,9 +67,7 @@ def limb_speeds(motion: SampledMotion) -> list[LimbSpeed]:
     return [_speed_of(motion, limb, times, speeds[:, at], frames) for at, limb in enumerate(LIMB_ENDS) if len(times)]
 
 
-def instant_speeds(
-    motion: SampledMotion,
-) -> tuple[Float[Array, "M"], Float[Array, "M 6"], Float[Array, "M"]]:
+def instant_speeds(motion: SampledMotion) -> tuple[Float[Array, "M"], Float[Array, "M 6"], Float[Array, "M"]]:
     """Return (times [s], speeds [m/s] of `LIMB_ENDS`, frames) between neighbouring sub-frames of one exposure.
 
     Args:

@@ -65,8 +65,8 @@ def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]
     """
     if alternatives is None:
         return None
-    asked = _SCORES + _ARROW if alternatives.reversed_limbs.shape[1] == 1 else _SCORES
-    known = [(name, label, form) for name, label, form in asked if name in alternatives.scores]
+    shown = _SCORES + _ARROW if alternatives.reversed_limbs.shape[1] == 1 else _SCORES
+    known = [(name, label, form) for name, label, form in shown if name in alternatives.scores]
     rows = [
         [
             reversed_text(alternatives.reversed_limbs[number], alternatives.reversed_limbs[alternatives.chosen]),

@@ -146,15 +146,15 @@ def write_confidence(
     names = features.split(",") if features else list(cases["network"][0].joints.features)
     exponent = prior.exponent
     by_start: dict[str, Any] = {}
-    for kind, given in cases.items():
-        known = [replace(case.joints, recording=case.person) for case in given]
+    for kind, some in cases.items():
+        known = [replace(case.joints, recording=case.person) for case in some]
         before, model = reliability_of(prior, known), prior
         held_out: dict[str, float] = before
-        after = held_out_reliability(known, names, len(_people(given)), exponent, prior)
+        after = held_out_reliability(known, names, len(_people(some)), exponent, prior)
         if _off(after) < _off(before):
             held_out, model = after, fit_confidence(known, names, exponent, prior)
         told = {name: value for name, value in asdict(model).items() if name != "exponent"}
-        counts = {"n": len(given), "people": _people(given)}
+        counts = {"n": len(some), "people": _people(some)}
         by_start[kind] = told | {"people_held_out": held_out | counts, "before": before | counts}
         if new[kind]:
             found = reliability_of(model, [case.joints for case in new[kind]])
@@ -172,7 +172,7 @@ def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKin
         new: per kind of start, to measure on only.
         path: directions.json, which exists.
     """
-    events = {kind: [event for case in given for event in case.events] for kind, given in cases.items()}
+    events = {kind: [event for case in some for event in case.events] for kind, some in cases.items()}
     content = read_story(path)
     content["trust"] = {}
     for kind, trust in fit_trust(events).items():
@@ -201,8 +201,8 @@ def _said_of_left_out(events: Mapping[StartKind, Sequence[DirectionEvent]], kind
     right: list[bool] = []
     for person in sorted({event.person for event in events[kind]}):
         others = {one: [event for event in known if event.person != person] for one, known in events.items()}
-        asked = [event for event in events[kind] if event.person == person and event.whole and event.frames == 1]
-        told, happened = said_and_right(asked, fit_trust(others)[kind])
+        queries = [event for event in events[kind] if event.person == person and event.whole and event.frames == 1]
+        told, happened = said_and_right(queries, fit_trust(others)[kind])
         said += told.tolist()
         right += happened.tolist()
     return said, right
@@ -212,10 +212,10 @@ def _new(kind: StartKind, trust: Trust, cases: Sequence[Case]) -> dict[str, Any]
     """Return how the odds hold on new people, in groups of stated probabilities of bodies and limbs; prints them."""
     if not cases:
         return None
-    asked = [event for case in cases for event in case.events]
+    queries = [event for case in cases for event in case.events]
     told: dict[str, Any] = {"n": len(cases), "people": _people(cases)}
     for name, whole in (("body", True), ("limbs", False)):
-        some = [event for event in asked if event.whole == whole]
+        some = [event for event in queries if event.whole == whole]
         for when, how in (("before", None), ("after", trust)):
             print(kind, f"directions of {name}, new people, {when}")
             _counted(said_and_right(some, how), DIRECTION_EDGES)

@@ -82,10 +82,10 @@ def run(options: argparse.Namespace) -> None:
         options: the parsed options.
     """
     story = read_story(options.out)
-    given = {kind: getattr(options, kind) for kind in KINDS if getattr(options, kind)}
-    if not given:
+    folders_of_kind = {kind: getattr(options, kind) for kind in KINDS if getattr(options, kind)}
+    if not folders_of_kind:
         raise InputError("no case: give --network DIR or --matte DIR, folders of hfb benchmark --start estimated")
-    for kind, folders in given.items():
+    for kind, folders in folders_of_kind.items():
         pairs = list(pairs_of(folders, options.every))
         loss, doubt = fit_weights(pairs)
         prior = story["weights"][kind]["prior"]

@@ -109,8 +109,8 @@ def _of_fit(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _looked(scene: Scene, seen: np.ndarray, look: int) -> np.ndarray:
     """Return a scene's input with the outputs of the networks before; the third also gets the double."""
-    alpha, doubt = _answer(shipped_network(), seen)
-    seen_twice = np.concatenate([seen, colour_evidence(scene.frame, scene.plate, alpha, doubt)])
+    alpha, log_error = _answer(shipped_network(), seen)
+    seen_twice = np.concatenate([seen, colour_evidence(scene.frame, scene.plate, alpha, log_error)])
     if look == 2:
         return seen_twice
     alpha, _ = _answer(shipped_second(), seen_twice)
@@ -122,8 +122,8 @@ def _looked(scene: Scene, seen: np.ndarray, look: int) -> np.ndarray:
 def _answer(network: MatteNetwork, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
         picture = torch.from_numpy(seen)[None].contiguous(memory_format=torch.channels_last)
-        logit, doubt = network(picture)[0].float()
-    return torch.sigmoid(logit).numpy(), doubt.numpy()
+        logit, log_error = network(picture)[0].float()
+    return torch.sigmoid(logit).numpy(), log_error.numpy()
 
 
 def matte_loss(output: torch.Tensor, alpha: torch.Tensor, band_weight: float) -> torch.Tensor:

@@ -4,12 +4,16 @@ Angles in degrees from standing upright with hanging arms: a thigh or an arm goe
 `turn`-ed outwards; a knee and an elbow bend; toes go `up`; the trunk bends forward, leans to its left, turns to its
 left, and so does the head. The pelvis pitches forward, rolls to its left and turns to its left; `hop` is the height
 of the feet above the ground [m].
+
+`data/movements.txt`: a movement has a name, the length of a cycle, and its key poses: the relative time until the next
+one, and the angles that differ from standing. `mirrored`: the second half of the cycle is the first with left and
+right exchanged. `turning`: degrees that the body has turned to its left after a cycle. A limb's word without l_ or r_
+means both. `data/stances.txt`: base poses of the other poses; guard and crouch are themselves changes of standing.
 """
 
 import re
 from dataclasses import dataclass, field
-
-from hfb.datasets.motions.built_in.gesture_book import MOVEMENTS, STANCES
+from importlib import resources
 
 _TRUNK = ("bend", "lean", "twist", "nod", "tilt", "look", "pitch", "roll", "yaw", "hop")
 _LIMB = ("hip", "out", "turn", "knee", "toes", "arm", "wide", "spin", "elbow", "palm")
@@ -66,16 +70,17 @@ def _read_pose(text: str) -> dict[str, float]:
     return pose
 
 
-def _read_lines(text: str) -> list[str]:
-    """Join lines with their continuations."""
-    return re.sub(r"\n {8,}", " ", text.strip("\n")).splitlines()
+def _read_lines(name: str) -> list[str]:
+    """Read a file of this package, lines joined with their continuations."""
+    text = (resources.files("hfb.datasets.motions.built_in") / "data" / name).read_text(encoding="utf-8")
+    return re.sub(r"\n {8,}", " ", text).splitlines()
 
 
-def _read_movements(text: str) -> tuple[Gesture, ...]:
-    """Parse the book's movements, in its order."""
+def _read_movements() -> tuple[Gesture, ...]:
+    """Parse the movements, in the file's order."""
     heads: list[str] = []
     keys: list[list[tuple[float, dict[str, float]]]] = []
-    for line in _read_lines(text):
+    for line in _read_lines("movements.txt"):
         if line.startswith("  "):
             share, _, pose = line.partition("|")
             keys[-1].append((float(share), _read_pose(pose)))
@@ -92,9 +97,9 @@ def _read_movements(text: str) -> tuple[Gesture, ...]:
 
 
 _STANCES: dict[str, dict[str, float]] = {}
-for _line in _read_lines(STANCES):
+for _line in _read_lines("stances.txt"):
     _name, _, _text = _line.partition(" | ")
     _STANCES[_name] = _read_pose(_text)
 
 STANDING: dict[str, float] = _STANCES["stand"]
-GESTURES: tuple[Gesture, ...] = _read_movements(MOVEMENTS)
+GESTURES: tuple[Gesture, ...] = _read_movements()

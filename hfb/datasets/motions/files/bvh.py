@@ -165,8 +165,8 @@ class _Hierarchy:
         self.joints: list[_Joint] = []
         stack: list[int] = []
         while self._next < len(self._words):
-            given, line = self._take()
-            word = given.upper()
+            token, line = self._take()
+            word = token.upper()
             if word in ("ROOT", "JOINT"):
                 stack.append(self._open_joint(word, stack, line))
             elif word == "END":
@@ -178,7 +178,7 @@ class _Hierarchy:
             elif word == "CHANNELS" and stack and self.joints[stack[-1]].channels is None:
                 self.joints[stack[-1]].channels = self._channels(line)
             else:
-                raise InputError(f"line {line}: {given[:40]!r} has no place there")
+                raise InputError(f"line {line}: {token[:40]!r} has no place there")
         if stack or not self.joints:
             raise InputError("its skeleton is not closed by }" if stack else "it has no ROOT")
 

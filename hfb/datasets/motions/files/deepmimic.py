@@ -101,12 +101,12 @@ def _motion(path: Path, frames: Float[Array, "F 44"]) -> BvhMotion:
     rotations[:, 0] = _unit(path, frames[:, 4:8])
     at = 8
     for name, width in _ORDER:
-        given = frames[:, at : at + width]
+        turn = frames[:, at : at + width]
         joint = rotations[:, names.index(name)]
         if width == 1:
-            joint[:, 0], joint[:, 3] = np.cos(given[:, 0] / 2), np.sin(given[:, 0] / 2)
+            joint[:, 0], joint[:, 3] = np.cos(turn[:, 0] / 2), np.sin(turn[:, 0] / 2)
         else:
-            joint[:] = _unit(path, given)
+            joint[:] = _unit(path, turn)
         at += width
     places = np.tile(offsets, (len(frames), 1, 1))
     places[:, 0] = frames[:, 1:4]

@@ -33,10 +33,10 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     one = named(content)
     if not {"poses", "trans"} <= one.keys() or not any(rate in one for rate in _RATES) or "K" in one:
         return None
-    given = array_in(one["poses"])
-    if not given.size:
+    array = array_in(one["poses"])
+    if not array.size:
         raise InputError("it holds no pose")
-    flat = given.reshape(len(given), -1)
+    flat = array.reshape(len(array), -1)
     width = flat.shape[1]
     if width not in _WIDTHS:
         raise InputError(f"its poses have {width} columns; SMPL's have 72, SMPL-H's 156, SMPL-X's 165")
@@ -45,12 +45,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         poses = turned(_Y_UP_FROM_Z_UP, poses)
     return [
         PoseTrack(
-            SYSTEM,
-            "0",
-            np.arange(len(poses)),
-            poses=y_up_to_camera(poses),
-            turn_is_known=False,
-            rate_hz=_rate_hz(one),
+            SYSTEM, "0", np.arange(len(poses)), poses=y_up_to_camera(poses), turn_is_known=False, rate_hz=_rate_hz(one)
         )
     ]
 

@@ -54,10 +54,10 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 def _poses(value: Any, count: int) -> Float[Array, "N 24 3"]:
     """Return poses from matrices, or from quaternions in the releases of 2021."""
-    given = array_in(value)
-    if given.size % count:
-        raise InputError(f"it has poses of the shape {given.shape} for {count} frames")
-    flat = given.reshape(count, -1)
+    array = array_in(value)
+    if array.size % count:
+        raise InputError(f"it has poses of the shape {array.shape} for {count} frames")
+    flat = array.reshape(count, -1)
     if flat.shape[1] == 24 * 9:
         return from_matrices(flat.reshape(count, 24, 3, 3))
     if flat.shape[1] == 24 * 4:

@@ -36,10 +36,10 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         beside: contents of companion files by name.
     """
     one = named(content)
-    given = _given(content, one)
-    if given is None or "poses" in one:
+    array = _joint_array(content, one)
+    if array is None or "poses" in one:
         return None
-    joints = _joints(given, one)
+    joints = _joints(array, one)
     if "y_up" in one and bool(numbers_at(one, "y_up", 1)[0]):
         joints = joints * np.array([1.0, -1.0, -1.0])
     frames = numbers_at(one, "frame_index", len(joints)) if "frame_index" in one else np.arange(len(joints))
@@ -47,7 +47,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     return [PoseTrack(SYSTEM, "0", frame_numbers(frames), size, joints=in_metres(joints), K=K)]
 
 
-def _given(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:
+def _joint_array(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:
     """Return the joints by their name, or an array alone that can be nothing else."""
     name = next((name for name in _NAMES if name in one), None)
     if name is not None:
@@ -63,24 +63,24 @@ def _given(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:
 
 
 def _cameras(value: Any, count: int) -> Float[Array, "R 3 3"]:
-    given = array_in(value)
-    if given.ndim == 2:
-        return np.tile(numbers(given, 3, 3), (count, 1, 1))
-    return numbers(given, count, 3, 3, finite=False)
+    array = array_in(value)
+    if array.ndim == 2:
+        return np.tile(numbers(array, 3, 3), (count, 1, 1))
+    return numbers(array, count, 3, 3, finite=False)
 
 
-def _joints(given: Float[Array, "..."], one: dict[str, Any]) -> Float[Array, "R 24 3"]:
-    if given.ndim != 3 or given.shape[2] != 3 or not len(given):
-        raise InputError(f"its joints are {given.shape} instead of (frames, 24, 3)")
+def _joints(array: Float[Array, "..."], one: dict[str, Any]) -> Float[Array, "R 24 3"]:
+    if array.ndim != 3 or array.shape[2] != 3 or not len(array):
+        raise InputError(f"its joints are {array.shape} instead of (frames, 24, 3)")
     if "joint_names" not in one:
-        return np.stack([joints_as_24(row) for row in given])
+        return np.stack([joints_as_24(row) for row in array])
     names = [text_of(name) for name in one["joint_names"]]
-    if len(names) != given.shape[1]:
-        raise InputError(f"it has {given.shape[1]} joints and {len(names)} joint_names")
-    full = np.full((len(given), 24, 3), np.nan)
+    if len(names) != array.shape[1]:
+        raise InputError(f"it has {array.shape[1]} joints and {len(names)} joint_names")
+    full = np.full((len(array), 24, 3), np.nan)
     known = [(at, JOINT_NAMES.index(name)) for at, name in enumerate(names) if name in JOINT_NAMES]
     if not known:
         raise InputError(f"none of its joint_names is one of SMPL's: {', '.join(JOINT_NAMES[:6])} ...")
     for at, joint in known:
-        full[:, joint] = given[:, at]
+        full[:, joint] = array[:, at]
     return full

@@ -32,41 +32,14 @@ SYSTEM = "2D keypoints"
 _NAMES = ("keypoints", "keypoints2d", "keypoints_2d", "joints2d", "joints_2d")
 _LEAST_CONFIDENCE = 0.2
 _MOST = 1 << 17  # of single detections
-_COCO = (
-    None,
-    None,
-    None,
-    None,
-    None,
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
-    "left_hip",
-    "right_hip",
-    "left_knee",
-    "right_knee",
-    "left_ankle",
-    "right_ankle",
-)
+_ARM, _LEG = ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")
+_COCO = (*5 * (None,), *(f"{side}_{part}" for part in (*_ARM, *_LEG) for side in ("left", "right")))
 _OPENPOSE = (
     None,
     "neck",
-    "right_shoulder",
-    "right_elbow",
-    "right_wrist",
-    "left_shoulder",
-    "left_elbow",
-    "left_wrist",
+    *(f"{side}_{part}" for side in ("right", "left") for part in _ARM),
     "pelvis",
-    "right_hip",
-    "right_knee",
-    "right_ankle",
-    "left_hip",
-    "left_knee",
-    "left_ankle",
+    *(f"{side}_{part}" for side in ("right", "left") for part in _LEG),
     *10 * (None,),
 )
 _LAYOUTS: dict[int, tuple[str | None, ...]] = {17: _COCO, 24: JOINT_NAMES, 25: _OPENPOSE}
@@ -105,14 +78,14 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     return _of_detections(detections, size) if detections else None
 
 
-def _of_array(given: Float[Array, "..."], one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
-    if given.ndim == 2:
-        given = given[None]
-    if given.ndim != 3 or given.shape[2] not in (2, 3) or not len(given):
-        raise InputError(f"its keypoints are {given.shape} instead of (frames, 17 | 24 | 25, 2 | 3)")
+def _of_array(points: Float[Array, "..."], one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
+    if points.ndim == 2:
+        points = points[None]
+    if points.ndim != 3 or points.shape[2] not in (2, 3) or not len(points):
+        raise InputError(f"its keypoints are {points.shape} instead of (frames, 17 | 24 | 25, 2 | 3)")
     names = tuple(text_of(name) for name in one["joint_names"]) if "joint_names" in one else None
-    frames = numbers(one["frame_index"], len(given)) if "frame_index" in one else np.arange(len(given))
-    return _person("0", list(map(_Detection, frames.astype(int).tolist(), given)), size, names)
+    frames = numbers(one["frame_index"], len(points)) if "frame_index" in one else np.arange(len(points))
+    return _person("0", list(map(_Detection, frames.astype(int).tolist(), points)), size, names)
 
 
 def _of_mmpose(frames: list[Any]) -> list[dict[str, Any]]:
