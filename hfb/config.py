@@ -135,18 +135,22 @@ class MattingConfig(Record):
         return self
 
 
+OWN_NETWORKS = ("metro", "keypoints")
+"""Ways to a first body by a network of the user's."""
+
+
 class InitConfig(Record):
     """The initialisation."""
 
-    method: Literal["auto", "mediapipe", "matte", "metro", "file"] = Field(
+    method: Literal["auto", "mediapipe", "matte", "metro", "keypoints", "file"] = Field(
         "auto",
-        description="auto: the pose networks where `hfb models` fetched them, else the matte alone; metro: a network "
-        "of yours; file: another system's result",
+        description="auto: the pose networks where `hfb models` fetched them, else the matte alone; metro, "
+        "keypoints (RTMPose, RTMW, ViTPose): a network of yours; file: another system's result",
     )
     landmarks: Literal["auto", "heavy", "full"] = Field(
         "auto", description="MediaPipe's landmark network; auto: heavy where it was fetched, else full"
     )
-    weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file")
+    weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file; keypoints: its ONNX file")
     mesh_sampling: Path | None = Field(
         None, description="metro: its mesh_downsampling.npz, for a network that gives a coarse mesh alone"
     )

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hfb.config import InitConfig
+from hfb.config import OWN_NETWORKS, InitConfig
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
@@ -97,6 +97,12 @@ def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> No
         help="what all methods start from: simulated after the paper's METRO, or hfb's estimators "
         "[simulated; real: estimated]",
     )
+    parser.add_argument(
+        "--init",
+        choices=("auto", "mediapipe", "matte", *OWN_NETWORKS),
+        help="how starts are estimated, as of `hfb fit`; with it --start is estimated [auto]",
+    )
+    parser.add_argument("--init-weights", type=Path, metavar="FILE", help="of a network that --init names")
 
 
 def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
@@ -159,13 +165,16 @@ def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
     """
     from hfb.flows.benchmark import BenchmarkPlan
 
-    start = given.start or ("estimated" if given.set in _REAL else "simulated")
+    init = InitConfig(method=given.init or "auto", weights=given.init_weights)
+    asked = given.init is not None or given.init_weights is not None
+    if given.start == "simulated" and asked:
+        raise InputError("--init and --init-weights are for estimated starts: leave --start simulated out")
     return BenchmarkPlan(
         spec=set_spec(given, frames),
         count=given.count,
         methods=methods_of(given),
-        start=start,
-        init=InitConfig(),
+        start=given.start or ("estimated" if asked or given.set in _REAL else "simulated"),
+        init=init,
         body=given.body,
     )
 

@@ -70,6 +70,22 @@ _BROUGHT = (
         None,
     ),
     KnownModel(
+        "RTMPose, RTMW",
+        "first body",
+        "--init keypoints --init-weights FILE",
+        "Apache-2.0",
+        "https://github.com/open-mmlab/mmpose, projects/rtmpose: its ONNX with outputs simcc_x and simcc_y",
+        None,
+    ),
+    KnownModel(
+        "ViTPose",
+        "first body",
+        "--init keypoints --init-weights FILE",
+        "Apache-2.0",
+        "https://github.com/ViTAE-Transformer/ViTPose, exported as ONNX with its heatmaps as the output",
+        None,
+    ),
+    KnownModel(
         "SMPLify's GMM",
         "pose prior",
         "--prior.pose FILE",
