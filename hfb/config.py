@@ -156,8 +156,8 @@ class InitConfig(Record):
     )
     file: Path | None = Field(
         None,
-        description="file: a result of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS, hfb, "
-        "3D joints or 2D keypoints",
+        description="file: a result of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, NLF, AMASS, "
+        "hfb, 3D joints or 2D keypoints",
     )
     person: str | None = Field(None, description="file: whom of several, by the system's own name or number")
     frame: int | None = Field(None, ge=0, description="file: number of the first picture in the result, from 0 on")

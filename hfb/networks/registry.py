@@ -102,7 +102,7 @@ _BROUGHT = (
         None,
     ),
     KnownModel(
-        "results of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS, 3D joints, hfb",
+        "results of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, NLF, AMASS, 3D joints, hfb",
         "first body",
         "--init FILE",
         "those of the systems",
