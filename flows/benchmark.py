@@ -33,7 +33,7 @@ from hfb.tasks.benchmark.cases import (
 )
 from hfb.tasks.benchmark.judge_case import JudgeCall, judge_case
 from hfb.tasks.core.result_records import records_in
-from hfb.tasks.inputs.inputs import input_file, networks_at_hand
+from hfb.tasks.inputs.inputs import input_file, networks_at_hand, pose_networks
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.map_task import Outcome, map_task
 from hfb.tasks.telemetry import progress
@@ -138,8 +138,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         for inner in ("cases", "methods"):
             check_tree(out, inner)
         body = input_file(plan.body) if plan.body else None
-        estimated = plan.start == "estimated" and plan.init.method != "matte"
-        networks = networks_at_hand(plan.init.landmarks) if estimated else ()
+        networks = pose_networks(plan.init) if plan.start == "estimated" else ()
         _, cases, skipped = _made(spec, plan.count, folder, cases_folder=out / "cases", out=out)
         to_see = [
             SeeCall(

@@ -230,6 +230,8 @@ def benchmark(
             textures=None,
             size=None,
             easy=False,
+            init=None,
+            init_weights=None,
         )
         plan = judging.plan_of(args, frames)
         if places.is_limited():

@@ -135,25 +135,29 @@ class MattingConfig(Record):
         return self
 
 
+OWN_NETWORKS = ("metro", "keypoints")
+"""Ways to a first body by a network of the user's."""
+
+
 class InitConfig(Record):
     """The initialisation."""
 
-    method: Literal["auto", "mediapipe", "matte", "metro", "file"] = Field(
+    method: Literal["auto", "mediapipe", "matte", "metro", "keypoints", "file"] = Field(
         "auto",
-        description="auto: the pose networks where `hfb models` fetched them, else the matte alone; metro: a network "
-        "of yours; file: another system's result",
+        description="auto: the pose networks where `hfb models` fetched them, else the matte alone; metro, "
+        "keypoints (RTMPose, RTMW, ViTPose): a network of yours; file: another system's result",
     )
     landmarks: Literal["auto", "heavy", "full"] = Field(
         "auto", description="MediaPipe's landmark network; auto: heavy where it was fetched, else full"
     )
-    weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file")
+    weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file; keypoints: its ONNX file")
     mesh_sampling: Path | None = Field(
         None, description="metro: its mesh_downsampling.npz, for a network that gives a coarse mesh alone"
     )
     file: Path | None = Field(
         None,
-        description="file: a result of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS, hfb, "
-        "3D joints or 2D keypoints",
+        description="file: a result of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, NLF, AMASS, "
+        "hfb, 3D joints or 2D keypoints",
     )
     person: str | None = Field(None, description="file: whom of several, by the system's own name or number")
     frame: int | None = Field(None, ge=0, description="file: number of the first picture in the result, from 0 on")

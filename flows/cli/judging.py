@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hfb.config import InitConfig
+from hfb.config import OWN_NETWORKS, InitConfig
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
@@ -98,6 +98,12 @@ def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> No
         help="what all methods start from: simulated after the paper's METRO, or hfb's estimators "
         "[simulated; real: estimated]",
     )
+    parser.add_argument(
+        "--init",
+        choices=("auto", "mediapipe", "matte", *OWN_NETWORKS),
+        help="how starts are estimated, as of `hfb fit`; with it --start is estimated [auto]",
+    )
+    parser.add_argument("--init-weights", type=Path, metavar="FILE", help="of a network that --init names")
 
 
 def set_spec(args: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
@@ -160,13 +166,16 @@ def plan_of(args: argparse.Namespace, frames: int) -> BenchmarkPlan:
     """
     from hfb.flows.benchmark import BenchmarkPlan
 
-    start = args.start or ("estimated" if args.set in _REAL else "simulated")
+    init = InitConfig(method=args.init or "auto", weights=args.init_weights)
+    estimated = args.init is not None or args.init_weights is not None
+    if args.start == "simulated" and estimated:
+        raise InputError("--init and --init-weights are for estimated starts: leave --start simulated out")
     return BenchmarkPlan(
         spec=set_spec(args, frames),
         count=args.count,
         methods=methods_of(args),
-        start=start,
-        init=InitConfig(),
+        start=args.start or ("estimated" if estimated or args.set in _REAL else "simulated"),
+        init=init,
         body=args.body,
     )
 

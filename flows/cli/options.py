@@ -16,14 +16,14 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hfb.config import RENAMED_FIT_OPTIONS, InitConfig, RunConfig, preset
+from hfb.config import OWN_NETWORKS, RENAMED_FIT_OPTIONS, InitConfig, RunConfig, preset
 from hfb.errors import InputError
 from hfb.io.toml_file import merged, read_toml, to_record
 
 _log = logging.getLogger(__name__)
 _PREFIX = "config:"
 _DEFAULT_PRESET = RunConfig().preset
-_NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": ("metro",)}
+_NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": OWN_NETWORKS}
 
 
 def add_config_flags(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +76,7 @@ class _EarlierName(argparse.Action):
 def _add_short_flags(group: argparse._ArgumentGroup) -> None:
     """Declare short flags for both ends: `--init`, `--matting`, and the files of their networks."""
     short: tuple[tuple[str, str, str], ...] = (
-        ("init", "FILE|auto|mediapipe|matte|metro", "another system's result, or how to find a first body"),
+        ("init", "FILE|auto|mediapipe|matte|metro|keypoints", "another system's result, or how to find a first body"),
         ("init-weights", "FILE", "as --init.weights"),
         ("matting", "network|known-background|bgmv2|rvm", "as --matting.method"),
         ("matting-weights", "FILE", "as --matting.weights"),
@@ -138,7 +138,7 @@ def _room_of_weights(chosen: Mapping[str, Any]) -> str:
     methods = {room: chosen.get(room, {}).get("method") for room in _NEED_WEIGHTS}
     rooms = [room for room, method in methods.items() if method in _NEED_WEIGHTS[room]]
     if len(rooms) != 1:
-        said = "both --matting and --init" if rooms else "neither --matting bgmv2|rvm nor --init metro"
+        said = "both --matting and --init" if rooms else "neither --matting bgmv2|rvm nor --init metro|keypoints"
         raise InputError(f"--weights: {said} ask for a file; use --matting-weights and --init-weights")
     return rooms[0]
 

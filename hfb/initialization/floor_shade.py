@@ -69,7 +69,7 @@ class FloorShadeMatting:
         rest[inner] = alone
         self._networks = self._networks or self._load()
         found = find_landmarks(self._networks, linear_to_srgb(frame).astype(np.float32), rest)
-        if found is None or found[1] < max(_LEAST_AGREEMENT, stick_agreement(found[0], matte)):
+        if found is None or found[1] < max(_LEAST_AGREEMENT, stick_agreement(found[0].pixels, matte)):
             return matte
         deep = shade_likelihood(*images, _DARKEST)
         matte[inner] = without_floor_shade(matte[inner], deep, found[0].pixels - (left, top))

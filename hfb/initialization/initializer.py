@@ -1,14 +1,18 @@
 """Initialisers of a fit's static body: by pose networks where available, else by the matte alone."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from hfb.body.model import Body
-from hfb.config import InitConfig
+from hfb.config import OWN_NETWORKS, InitConfig
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
+from hfb.initialization.joint_layouts import keypoints_as_24
+from hfb.initialization.keypoint_network import KeypointNetwork
+from hfb.initialization.keypoint_registration import register_keypoints
 from hfb.initialization.landmarks import Landmarks, PoseNetworks, networks_ready
 from hfb.initialization.lean import less_lean
 from hfb.initialization.matte_search import search_by_matte
@@ -72,9 +76,11 @@ def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -
     drawing = rasterizer or make_rasterizer("coverage")
     if config.method == "matte":
         return MatteInitializer(drawing)
-    if config.method == "metro":
+    if config.method in OWN_NETWORKS:
         if config.weights is None:
-            raise InputError("--init metro needs the network's file: give it with --init-weights FILE")
+            raise InputError(f"--init {config.method} needs the network's file: give it with --init-weights FILE")
+        if config.method == "keypoints":
+            return KeypointInitializer(drawing, config.weights)
         return MetroBody(config.weights, drawing, config.mesh_sampling)
     if config.method == "mediapipe":
         return LandmarkInitializer(drawing, config.landmarks)
@@ -129,8 +135,7 @@ class LandmarkInitializer:
             frame_linear: the frame.
             matte: the person's share of each pixel.
         """
-        frame_srgb = linear_to_srgb(np.clip(np.asarray(frame_linear, np.float32), 0, 1)).astype(np.float32)
-        return find_landmarks(self._networks, frame_srgb, matte)
+        return find_landmarks(self._networks, _srgb(frame_linear), matte)
 
     def body(self, landmarks: Landmarks, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body) -> FirstBody:
         """Register, then refine, which is kept only where it shares more with the matte; then lessen the lean.
@@ -141,10 +146,33 @@ class LandmarkInitializer:
             camera: camera of the image.
             body: the body model.
         """
-        first = register(landmarks, camera, body)
-        closer = refine(first, matte, camera, body, self._rasterizer, _REFINEMENT, _STAY_BY_LANDMARKS)
-        level = matte_level(matte, camera, _COMPARE_PX)
-        return less_lean(max((closer, first), key=lambda one: overlap(one, level, body, self._rasterizer)), body)
+        return _nearer_to_matte(register(landmarks, camera, body), matte, camera, body, self._rasterizer)
+
+
+class KeypointInitializer:
+    """A user's network of 2D keypoints, to which the body is registered, then refined as after MediaPipe's landmarks.
+
+    Args:
+        rasterizer: draws silhouettes.
+        weights: file of the network.
+
+    Raises:
+        InputError: the file is none that `KeypointNetwork` takes.
+    """
+
+    def __init__(self, rasterizer: Rasterizer, weights: Path) -> None:
+        self._rasterizer = rasterizer
+        self._network = KeypointNetwork(weights)
+
+    def __call__(
+        self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
+    ) -> FirstBody:
+        """See `Initializer`."""
+        alpha = _checked(matte)
+        joints = keypoints_as_24(self._network.find(_srgb(frame_linear), alpha))
+        found = register_keypoints(joints[None], camera, body)
+        first = FirstBody(found.poses[0], found.translations[0], found.betas, "keypoints")
+        return _nearer_to_matte(first, alpha, camera, body, self._rasterizer)
 
 
 class AutoInitializer:
@@ -201,6 +229,19 @@ def _searched(
             best = other if other.shared > moving.shared - _ABOUT_AS_GOOD else moving
             return best.first, best.shared, best.travel_m
     return first, shared, None
+
+
+def _nearer_to_matte(
+    first: FirstBody, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
+) -> FirstBody:
+    """Refine a body that a network saw, which is kept only where it shares more with the matte; lessen its lean."""
+    closer = refine(first, matte, camera, body, rasterizer, _REFINEMENT, _STAY_BY_LANDMARKS)
+    level = matte_level(matte, camera, _COMPARE_PX)
+    return less_lean(max((closer, first), key=lambda one: overlap(one, level, body, rasterizer)), body)
+
+
+def _srgb(frame_linear: Picture) -> Float[Array, "H W 3"]:
+    return linear_to_srgb(np.clip(np.asarray(frame_linear, np.float32), 0, 1)).astype(np.float32)
 
 
 def _checked(matte: Matte) -> Float[Array, "H W"]:

@@ -34,6 +34,69 @@ MHR70_AS_24: dict[int, int] = {
 }
 """SMPL's joint -> the keypoint of SAM 3D Body's 70 that lies at it."""
 
+COCO_17: tuple[str, ...] = (
+    *("nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow"),
+    *("right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee"),
+    *("left_ankle", "right_ankle"),
+)
+"""COCO's keypoints; a joint that is SMPL's has its name."""
+MORE_THAN_COCO: dict[int, dict[int, str]] = {
+    26: {20: "left_foot_index", 21: "right_foot_index", 24: "left_heel", 25: "right_heel"},
+    133: {
+        **{17: "left_foot_index", 19: "left_heel", 20: "right_foot_index", 22: "right_heel"},
+        **{96: "left_index", 117: "right_index"},
+    },
+    136: {20: "left_foot_index", 21: "right_foot_index", 24: "left_heel", 25: "right_heel"},
+}
+"""Layouts by their number of keypoints that begin with COCO's 17 (Halpe's 26 and 136, COCO-WholeBody's 133), and the
+ends of hands and feet among the others."""
+_OPENPOSE_15 = (
+    *("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist"),
+    *("pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle"),
+)
+_LAYOUTS: dict[int, tuple[str, ...]] = {17: COCO_17, 24: JOINT_NAMES, 25: (*_OPENPOSE_15, *10 * ("",))}
+_LEAST_CONFIDENCE = 0.2
+
+
+def trusted(points: Float[Array, "J c"]) -> Float[Array, "J 2"]:
+    """Return keypoints [px] without their confidence, NaN where it is low.
+
+    Args:
+        points: x, y and, where there is a third column, the confidence.
+    """
+    return points[:, :2] if points.shape[1] < 3 else np.where(points[:, 2:] >= _LEAST_CONFIDENCE, points[:, :2], np.nan)
+
+
+def keypoints_as_24(points: Float[Array, "J c"], names: tuple[str, ...] | None = None) -> Float[Array, "24 2"]:
+    """Return SMPL's joints [px], NaN where unknown or unreliable; pelvis and neck between hips and shoulders.
+
+    Args:
+        points: x, y and confidence, see `trusted`.
+        names: names of the keypoints; None for a layout that their number tells.
+
+    Raises:
+        InputError: a number of keypoints of no known layout, or other than that of the names.
+    """
+    if names is None:
+        count = 17 if len(points) in MORE_THAN_COCO else len(points)
+        if count not in _LAYOUTS:
+            raise InputError(
+                f"{len(points)} keypoints are of no known layout: give COCO's 17, OpenPose's 25, SMPL's 24, or any "
+                "with joint_names"
+            )
+        points, names = points[:count], _LAYOUTS[count]
+    if len(names) != len(points):
+        raise InputError(f"it has {len(points)} keypoints and {len(names)} joint_names")
+    full = np.full((JOINT_COUNT, 2), np.nan)
+    for point, name in zip(trusted(points), names, strict=True):
+        if name in JOINT_NAMES and np.isfinite(point).all():
+            full[JOINT_NAMES.index(name)] = point
+    for middle, sides in (("pelvis", "hip"), ("neck", "shoulder")):
+        at = JOINT_NAMES.index(middle)
+        if np.isnan(full[at]).any():
+            full[at] = (full[JOINT_NAMES.index(f"left_{sides}")] + full[JOINT_NAMES.index(f"right_{sides}")]) / 2
+    return full
+
 
 def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
     """Return SMPL's 24 joints from 24, from Human3.6M's 17 or from the usual 14; unknown ones are NaN.

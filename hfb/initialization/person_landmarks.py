@@ -47,8 +47,7 @@ def find_landmarks(
         frame_srgb: the blurred frame.
         matte: the person's share of each pixel, not empty.
     """
-    alpha = matte[..., None]
-    alone = frame_srgb * alpha + _GRAY * (1 - alpha)
+    alone = on_gray(frame_srgb, matte)
     best: tuple[Landmarks, float] | None = None
     best_value = 0.0
     for region in _proposals(networks, frame_srgb, alone, matte):
@@ -58,7 +57,7 @@ def find_landmarks(
                 continue
             again = networks.locate(picture, found.next_region)
             found = again if again.score >= found.score - 0.05 else found
-            agreement = stick_agreement(found, matte)
+            agreement = stick_agreement(found.pixels, matte)
             value = agreement * (0.5 + 0.5 * found.score)
             if value > best_value:
                 best, best_value = (found, agreement), value
@@ -101,18 +100,29 @@ def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
     return bool(middle.size and middle.max() > 0.2)
 
 
-def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
+def on_gray(frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]) -> Float[Array, "H W 3"]:
+    """Return the person alone, before gray.
+
+    Args:
+        frame_srgb: the blurred frame.
+        matte: the person's share of each pixel.
+    """
+    alpha = matte[..., None]
+    return frame_srgb * alpha + _GRAY * (1 - alpha)
+
+
+def stick_agreement(pixels: Float[Array, "33 2"], matte: Float[Array, "H W"]) -> float:
     """Return the soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
 
     Args:
-        landmarks: landmarks of a person.
+        pixels: places of the landmarks [px].
         matte: the person's share of each pixel.
     """
     top, left, bottom, right = matte_region(matte, margin=0.25)
     scale = _STICK_FIGURE_PX / max(bottom - top, right - left)
     size = (max(8, round((right - left) * scale)), max(8, round((bottom - top) * scale)))
     target = cv2.resize(matte[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
-    figure = draw_stick_figure((landmarks.pixels - (left, top)) * scale, (size[1], size[0])).astype(np.float32)
+    figure = draw_stick_figure((pixels - (left, top)) * scale, (size[1], size[0])).astype(np.float32)
     # Parts of the figure outside the image count against it only where the image could have shown them.
     return float(np.minimum(target, figure).sum() / max(np.maximum(target, figure).sum(), 1e-6))
 

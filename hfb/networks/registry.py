@@ -65,6 +65,22 @@ _BROUGHT = (
         None,
     ),
     KnownModel(
+        "RTMPose, RTMW",
+        "first body",
+        "--init keypoints --init-weights FILE",
+        "Apache-2.0",
+        "https://github.com/open-mmlab/mmpose, projects/rtmpose: its ONNX with outputs simcc_x and simcc_y",
+        None,
+    ),
+    KnownModel(
+        "ViTPose",
+        "first body",
+        "--init keypoints --init-weights FILE",
+        "Apache-2.0",
+        "https://github.com/ViTAE-Transformer/ViTPose, exported as ONNX with its heatmaps as the output",
+        None,
+    ),
+    KnownModel(
         "SMPLify's GMM",
         "pose prior",
         "--prior.pose FILE",
@@ -81,7 +97,7 @@ _BROUGHT = (
         None,
     ),
     KnownModel(
-        "results of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS, 3D joints, hfb",
+        "results of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, NLF, AMASS, 3D joints, hfb",
         "first body",
         "--init FILE",
         "those of the systems",

@@ -181,6 +181,11 @@ class OnnxNetwork:
         except Exception as error:  # its own exception classes share no base but this
             raise InputError(f"{path}: onnxruntime cannot read this file ({_first_line(error)})") from None
 
+    def input_shapes(self) -> tuple[tuple[int | None, ...], ...]:
+        """Return the shapes of the inputs, None for sides that the file leaves open."""
+        shapes = (one.shape for one in self._session.get_inputs())
+        return tuple(tuple(side if isinstance(side, int) else None for side in shape) for shape in shapes)
+
     def __call__(self, inputs: Sequence[Given]) -> Outputs:
         """See `Network`."""
         known = self._session.get_inputs()

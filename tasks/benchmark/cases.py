@@ -248,7 +248,13 @@ def _starts(
     numbers = tuple(range(case.frames))
     firsts = tuple(
         first_body.fn(
-            clip=clip, index=index, mattes=mattes, body=call.body, config=call.init, networks=(), folder=folder
+            clip=clip,
+            index=index,
+            mattes=mattes,
+            body=call.body,
+            config=call.init,
+            networks=call.networks,
+            folder=folder,
         )
         for index in numbers
     )

@@ -31,7 +31,7 @@ def first_body(
         mattes: of all frames.
         body: the user's body model; None for the embedded one.
         config: options of the first body.
-        networks: the installed pose networks, or METRO's; others give a new estimate.
+        networks: the installed pose networks, or the user's own; others give a new estimate.
         folder: where the body goes.
 
     Raises:

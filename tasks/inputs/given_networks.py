@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hfb.config import InitConfig, MattingConfig, RunConfig
+from hfb.config import OWN_NETWORKS, InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
 from hfb.interop.readers.beside import companions
 from hfb.networks.mediapipe_files import LANDMARK_FULL, networks_in_use
@@ -42,21 +42,21 @@ def matting_file(config: RunConfig) -> Path | None:
     return weights
 
 
-def init_files(config: RunConfig) -> tuple[Path, ...]:
-    """Return the other system's result and the files that belong to it, or METRO's network; empty for other methods.
+def init_files(init: InitConfig) -> tuple[Path, ...]:
+    """Return the other system's result and the files that belong to it, or the user's network; empty for other methods.
 
     Args:
-        config: all options.
+        init: options of the first bodies.
 
     Raises:
         InputError: the method needs a file and none is given, or a needless one is given.
     """
-    init = config.init
-    if (init.method == "metro") != (init.weights is not None):
+    own = init.method in OWN_NETWORKS
+    if own != (init.weights is not None):
         raise InputError(
-            "--init metro needs the network's file: give it with --init-weights FILE"
-            if init.method == "metro"
-            else f"--init {init.method} takes no --init-weights: say metro"
+            f"--init {init.method} needs the network's file: give it with --init-weights FILE"
+            if own
+            else f"--init {init.method} takes no --init-weights: say {' or '.join(OWN_NETWORKS)}"
         )
     if init.mesh_sampling is not None and init.method != "metro":
         raise InputError(f"--init {init.method} takes no --init.mesh-sampling: say metro")
@@ -108,13 +108,13 @@ def person_matting(
 
 
 def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> InitConfig:
-    """Return the options with the current places of METRO's files.
+    """Return the options with the current places of the user's network's files.
 
     Args:
         config: options of the first bodies.
-        networks: METRO's files.
+        networks: its files.
     """
-    if config.method != "metro":
+    if config.method not in OWN_NETWORKS:
         return config
     sampling = networks[1].path if config.mesh_sampling is not None else None
     return config.model_copy(update={"weights": networks[0].path, "mesh_sampling": sampling})

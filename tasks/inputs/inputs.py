@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hfb.config import ExposureConfig, Record, RunConfig
+from hfb.config import OWN_NETWORKS, ExposureConfig, InitConfig, Record, RunConfig
 from hfb.errors import InputError
 from hfb.interop.writers.export_names import check_formats
 from hfb.io.clip import Clip, ClipCamera, ClipExposure, read_clip
@@ -98,7 +98,7 @@ def take_inputs(
         motion_prior=input_file(config.prior.motion) if config.prior.motion else None,
         truth=input_file(truth) if truth else None,
         first_bodies=tuple(input_file(first) for first in first_bodies or ()),
-        networks=pose_networks(config) if not first_bodies else (),
+        networks=pose_networks(config.init) if not first_bodies else (),
         matting=optional_file(matting_file(config)),
         init_files=result_files(config) if not first_bodies else (),
     )
@@ -189,18 +189,18 @@ def optional_file(path: Path | None) -> FileHandle | None:
     return None if path is None else input_file(path)
 
 
-def pose_networks(config: RunConfig) -> tuple[FileHandle, ...]:
+def pose_networks(init: InitConfig) -> tuple[FileHandle, ...]:
     """Return the networks that the first bodies depend on.
 
     Args:
-        config: all options.
+        init: options of the first bodies.
 
     Raises:
         InputError: a file that the method needs is missing.
     """
-    if config.init.method == "metro":
-        return tuple(input_file(path) for path in init_files(config))
-    return networks_at_hand(config.init.landmarks) if config.init.method in ("auto", "mediapipe") else ()
+    if init.method in OWN_NETWORKS:
+        return tuple(input_file(path) for path in init_files(init))
+    return networks_at_hand(init.landmarks) if init.method in ("auto", "mediapipe") else ()
 
 
 def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
@@ -212,7 +212,7 @@ def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
     Raises:
         InputError: a file is missing.
     """
-    files = init_files(config)
+    files = init_files(config.init)
     return tuple(input_file(path) for path in files) if config.init.method == "file" else ()
 
 

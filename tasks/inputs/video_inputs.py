@@ -101,7 +101,7 @@ def take_video_inputs(
         pose_prior=input_file(config.prior.pose) if config.prior.pose else None,
         motion_prior=input_file(config.prior.motion) if config.prior.motion else None,
         truth=input_file(truth) if truth else None,
-        networks=pose_networks(config),
+        networks=pose_networks(config.init),
         matting=optional_file(matting_file(config)),
         init_files=result_files(config),
     )
@@ -116,7 +116,7 @@ def check_options(config: RunConfig) -> None:
     check_formats(config.export.formats)
     for path in (config.body.model, config.prior.pose, config.prior.motion, matting_file(config)):
         optional_file(path)
-    pose_networks(config)
+    pose_networks(config.init)
     result_files(config)
 
 

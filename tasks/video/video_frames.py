@@ -52,7 +52,7 @@ class KeyBodyCall(SeenFrameCall):
 
     Attributes:
         config: options of the first body.
-        networks: the installed pose networks, or METRO's; others give a new estimate.
+        networks: the installed pose networks, or the user's own; others give a new estimate.
     """
 
     config: InitConfig

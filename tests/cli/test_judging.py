@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from hfb.config import InitConfig
 from hfb.datasets.case import load_case
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
+from hfb.errors import InputError
 from hfb.evaluation.experiments import find_experiment
 from hfb.flows.benchmark import BenchmarkPlan
 from hfb.flows.cli import judging
@@ -84,6 +86,16 @@ def _plan(words: str) -> BenchmarkPlan:
     judging.add_set_flags(parser)
     judging.add_method_flags(parser)
     return judging.plan_of(parser.parse_args(words.split()), 1)
+
+
+def test_a_way_to_estimated_starts() -> None:
+    own = _plan("bt-amass --init keypoints --init-weights k.onnx")
+    assert own.start == "estimated"
+    assert own.init == InitConfig(method="keypoints", weights=Path("k.onnx"))
+    assert _plan("bt-amass --init auto").start == "estimated"
+    assert _plan("bt-amass").init == InitConfig()
+    with pytest.raises(InputError, match="leave --start simulated out"):
+        _plan("bt-amass --start simulated --init matte")
 
 
 def test_sets_of_real_video() -> None:

@@ -97,7 +97,8 @@ def test_what_cannot_be_meant_is_said_before_anything_is_made(problem: Problem, 
     ("parts", "says"),
     [
         ({"init": InitConfig(method="metro")}, "--init-weights FILE"),
-        ({"init": InitConfig(method="matte", weights=Path("x"))}, "takes no --init-weights"),
+        ({"init": InitConfig(method="keypoints")}, "--init keypoints needs the network's file"),
+        ({"init": InitConfig(method="matte", weights=Path("x"))}, "takes no --init-weights: say metro or keypoints"),
         ({"init": InitConfig(method="file")}, "with --init FILE"),
         ({"init": InitConfig(file=Path("x"))}, "does not go with init.method auto"),
         ({"matting": MattingConfig(method="bgmv2")}, "--matting-weights FILE"),
@@ -154,6 +155,9 @@ def test_short_flags() -> None:
         method="bgmv2", weights=Path("b.pth")
     )
     assert parsed("--init", "metro", "--weights", "m.pt").init == InitConfig(method="metro", weights=Path("m.pt"))
+    keypoints = InitConfig(method="keypoints", weights=Path("k.onnx"))
+    assert parsed("--init", "keypoints", "--init-weights", "k.onnx").init == keypoints
+    assert parsed("--init", "keypoints", "--weights", "k.onnx").init == keypoints
     for words in (["--init", "matte"], ["--matting", "rvm", "--init", "metro"]):
         with pytest.raises(InputError, match="use --matting-weights and --init-weights"):
             parsed(*words, "--weights", "x.pt")

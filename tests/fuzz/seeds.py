@@ -273,6 +273,8 @@ def _results(folder: Path) -> Iterator[tuple[str, Path]]:
     yield "result", files.gvhmr(folder, person, np.zeros((1, 3))).path
     for suffix in (".pkl", ".npz", ".json"):
         yield "result", files.sam3d(folder, person, suffix).path
+    for suffix in (".pt", ".pkl"):
+        yield "result", files.nlf(folder, person, suffix).path
     content = files.pymaf(folder, person).content
     for name, how in (("packed.pkl", "zlib"), ("packed.pkl.gz", "gzip"), ("packed.pkl.xz", "xz")):
         joblib.dump(content, folder / name, compress=(how, 3))

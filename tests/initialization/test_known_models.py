@@ -14,7 +14,18 @@ def test_everything_has_a_licence_and_a_way_to_get_it(monkeypatch: pytest.Monkey
     models = list_models()
     assert all(model.licence and model.get and model.role and model.use for model in models)
     named = " ".join(model.name for model in models)
-    for name in ("SMPL", "BackgroundMattingV2", "METRO", "WHAM", "PHALP", "GVHMR", "MediaPipe", "VPoser"):
+    for name in (
+        "SMPL",
+        "BackgroundMattingV2",
+        "METRO",
+        "RTMPose",
+        "ViTPose",
+        "WHAM",
+        "PHALP",
+        "GVHMR",
+        "MediaPipe",
+        "VPoser",
+    ):
         assert name in named
     assert {model.present for model in models} == {True, False, None}
 

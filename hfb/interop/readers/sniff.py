@@ -14,6 +14,7 @@ from hfb.interop.readers.systems import (
     hybrik,
     joint_files,
     keypoints,
+    nlf,
     own,
     phalp,
     pymaf,
@@ -25,7 +26,7 @@ from hfb.io.safe.contents import named, read_contents
 
 _ANY_CLIP = ClipPictures()
 Reader = Callable[[Any, tuple[int, int], dict[str, Any]], list[PoseTrack] | None]
-_SYSTEMS = (own, wham, pymaf, hybrik, phalp, tram, gvhmr, sam3d, amass, joint_files, keypoints)
+_SYSTEMS = (own, wham, pymaf, hybrik, phalp, tram, gvhmr, sam3d, nlf, amass, joint_files, keypoints)
 _READERS: tuple[Reader, ...] = tuple(system.read for system in _SYSTEMS)
 SYSTEMS = (
     "PyMAF",
@@ -35,6 +36,7 @@ SYSTEMS = (
     "TRAM",
     "GVHMR",
     "SAM 3D Body",
+    "NLF",
     "AMASS",
     "3D joints",
     "2D keypoints",

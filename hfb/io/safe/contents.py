@@ -28,7 +28,7 @@ _MAX_OBJECT_SIDES = 4
 _MAX_ENTRIES, _MAX_DEPTH = 1 << 22, 8  # of lists that stand for an array
 _NPY, _GZIP, _BZ2, _XZ = b"\x93NUMPY", b"\x1f\x8b", b"BZh", b"\xfd7zXZ"
 _ZLIB = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")
-_WHAT = "give a result file of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS or of hfb"
+_WHAT = "give a result file of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, NLF, AMASS or of hfb"
 
 
 def read_contents(path: Path) -> Any:

@@ -258,6 +258,41 @@ def sam3d(folder: Path, person: Person, suffix: str = ".pkl") -> Written:
     return Written(path, content, pixels)
 
 
+def nlf(folder: Path, person: Person, suffix: str = ".pt", joints: int = 24) -> Written:
+    """Lists of tensors (people, ...) per frame as detect_smpl_batched returns them, with a frame without people."""
+    place, focal_px = np.array([0.1, 0.3, 4.0]), WIDTH / (2 * np.tan(np.radians(55) / 2))
+    content: dict[str, list[torch.Tensor]] = {
+        name: [] for name in ("boxes", "pose", "betas", "trans", "joints3d", "joints2d", "joint_uncertainties")
+    }
+    pixels = np.full((COUNT, 24, 2), np.nan)
+    for n in range(COUNT):
+        points = person.standing[n] + place
+        pixels[n] = perspective(points[None], focal_px, (WIDTH / 2, HEIGHT / 2))[0]
+        pose = person.poses[n] if joints == 24 else np.concatenate([person.poses[n, :22], np.zeros((33, 3))])
+        spare = np.zeros((joints - 24, 3)) + points[0]
+        points = np.concatenate([points, spare])
+        seen = perspective(points[None], focal_px, (WIDTH / 2, HEIGHT / 2))[0]
+        rows = {
+            "boxes": np.zeros(5),
+            "pose": pose.ravel(),
+            "betas": person.betas[n],
+            "trans": place,
+            "joints3d": 1000 * points,
+            "joints2d": seen,
+            "joint_uncertainties": np.zeros(joints),
+        }
+        for name, row in rows.items():
+            content[name].append(torch.from_numpy(row).float()[None])
+    for name, entries in content.items():
+        entries.append(torch.zeros(0, *((joints, 3) if name == "pose" else entries[0].shape[1:])))
+    path = folder / f"prediction{suffix}"
+    if suffix == ".pt":
+        torch.save(content, path)
+    else:
+        path.write_bytes(pickle.dumps({name: tuple(entries) for name, entries in content.items()}))
+    return Written(path, content, pixels)
+
+
 def _joblib(path: Path, content: Any, pixels: Array) -> Written:
     joblib.dump(content, path)
     return Written(path, content, pixels)
@@ -275,6 +310,7 @@ PICKLED: dict[str, Callable[[Any, Path], object]] = {
     "wham_output.pkl": joblib.dump,
     "hps_track_0.npy": lambda content, path: np.save(path, np.array(content, dtype=object), allow_pickle=True),
     "hmr4d_results.pt": torch.save,
+    "prediction.pt": torch.save,
     "people.pkl": lambda content, path: path.write_bytes(pickle.dumps(content)),
 }
 """How each system writes its file again."""

@@ -24,7 +24,7 @@ from hfb.io.safe.torch_files import load_torch
 from tests.interop.readers import files
 from tests.interop.readers.files import HEIGHT, PICKLED, WIDTH, Person
 
-WRITERS = [files.pymaf, files.hybrik, files.phalp, files.wham, files.tram, files.sam3d]
+WRITERS = [files.pymaf, files.hybrik, files.phalp, files.wham, files.tram, files.sam3d, files.nlf]
 
 
 class Attack:

@@ -130,6 +130,54 @@ def test_sam_3d_bodys_keypoints_get_a_body(tmp_path: Path, suffix: str) -> None:
         assert miss.mean() < 6  # px, of a person of some 400
 
 
+@pytest.mark.parametrize(("suffix", "joints"), [(".pt", 24), (".pkl", 24), (".pt", 55)])
+def test_nlf_says_where_and_how(tmp_path: Path, suffix: str, joints: int) -> None:
+    """Millimetres, its own camera, and nobody in the last frame."""
+    person = Person.some()
+    written = files.nlf(tmp_path, person, suffix, joints)
+    (track,) = read(written.path)
+    assert track.system == "NLF"
+    assert track.betas_space == ("smpl" if joints == 24 else "smplx")
+    assert track.frames.tolist() == list(range(COUNT))
+    camera = own_camera(track, 1)
+    assert camera.fx == pytest.approx(WIDTH / (2 * np.tan(np.radians(27.5))), rel=1e-3)
+    first = body_at(track, 1, camera, SMPL)
+    assert first is not None
+    np.testing.assert_allclose(first.pose[1:22].numpy(), person.poses[1, 1:22], atol=1e-5)
+    np.testing.assert_allclose(seen(first, camera)[0], written.pixels[1, 0], atol=0.05)
+    if joints == 24:
+        np.testing.assert_allclose(seen(first, camera), written.pixels[1], atol=0.5)
+
+
+def test_nlf_s_people_and_assumed_camera(tmp_path: Path) -> None:
+    content = files.nlf(tmp_path, Person.some()).content
+    beside = {name: [torch.cat([one, one]) for one in entries] for name, entries in content.items()}
+    for one in beside["joints3d"]:
+        one[len(one) // 2 :, :, 0] += 1500.0
+    del beside["joints2d"]
+    torch.save(beside, tmp_path / "two.pt")
+    first, second = read(tmp_path / "two.pt")
+    assert first.pelvis is not None
+    assert second.pelvis is not None
+    np.testing.assert_allclose(second.pelvis - first.pelvis, np.tile([1.5, 0, 0], (COUNT, 1)), atol=1e-5)
+    assert own_camera(first, 0).fx == pytest.approx(WIDTH / (2 * np.tan(np.radians(27.5))))
+
+
+def test_nlf_s_damage_is_said(tmp_path: Path) -> None:
+    whole = files.nlf(tmp_path, Person.some()).content
+    for name, part, says in (
+        ("pose", [one[:, :70] if one.ndim == 2 else one for one in whole["pose"]], "70 numbers instead of 72"),
+        ("joints3d", whole["joints3d"][:-1], "different numbers of frames"),
+        ("joints3d", [one[:, :20] for one in whole["joints3d"]], r"\(1, 20, 3\)"),
+    ):
+        torch.save({**whole, name: part}, tmp_path / "damaged.pt")
+        with pytest.raises(InputError, match=says):
+            read(tmp_path / "damaged.pt")
+    torch.save({name: [one[:0] for one in entries] for name, entries in whole.items()}, tmp_path / "nobody.pt")
+    with pytest.raises(InputError, match="it holds nobody"):
+        read(tmp_path / "nobody.pt")
+
+
 def test_without_tram_s_camera_the_diagonal_is_assumed(tmp_path: Path) -> None:
     path = files.tram(tmp_path, Person.some()).path
     assert own_camera(read(path)[0], 0).fx == 700

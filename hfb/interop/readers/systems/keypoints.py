@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
+from hfb.initialization.joint_layouts import keypoints_as_24, trusted
 from hfb.interop.readers.image_names import number_in
 from hfb.interop.readers.linking import linked
 from hfb.interop.readers.parts import named_all
@@ -30,20 +30,7 @@ from hfb.typing import Array, Float
 
 SYSTEM = "2D keypoints"
 _NAMES = ("keypoints", "keypoints2d", "keypoints_2d", "joints2d", "joints_2d")
-_LEAST_CONFIDENCE = 0.2
 _MOST = 1 << 17  # of single detections
-_ARM, _LEG = ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")
-_COCO = (*5 * (None,), *(f"{side}_{part}" for part in (*_ARM, *_LEG) for side in ("left", "right")))
-_OPENPOSE = (
-    None,
-    "neck",
-    *(f"{side}_{part}" for side in ("right", "left") for part in _ARM),
-    "pelvis",
-    *(f"{side}_{part}" for side in ("right", "left") for part in _LEG),
-    *10 * (None,),
-)
-_LAYOUTS: dict[int, tuple[str | None, ...]] = {17: _COCO, 24: JOINT_NAMES, 25: _OPENPOSE}
-_MORE_THAN_COCO = (26, 133, 136)  # Halpe's and COCO-WholeBody's begin with COCO's 17
 _REACH = 0.4
 """Largest step of a person from one frame to the next, relative to their visible size."""
 
@@ -132,16 +119,12 @@ def _ways(before: list[_Detection], now: list[_Detection]) -> Float[Array, "b n"
     """Return the distance between keypoints that are reliable in both, in steps of a person of that size."""
     if len({one.points.shape for one in (*before, *now)}) > 1:
         raise InputError("its people have different numbers of keypoints; give those of one model")
-    old, new = (np.stack([_trusted(one.points) for one in people]) for people in (before, now))
+    old, new = (np.stack([trusted(one.points) for one in people]) for people in (before, now))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # no keypoint is reliable in both: NaN, which links nobody
         away_px = np.nanmedian(np.linalg.norm(old[:, None] - new, axis=-1), -1)
         old_px, new_px = ((np.nanmax(one, 1) - np.nanmin(one, 1)).max(-1) for one in (old, new))
     return away_px / np.maximum(_REACH * np.fmax(old_px[:, None], new_px), 1e-6)
-
-
-def _trusted(points: Float[Array, "J c"]) -> Float[Array, "J 2"]:
-    return np.where(points[:, 2:3] >= _LEAST_CONFIDENCE, points[:, :2], np.nan)
 
 
 def _is_number(image: Any) -> bool:
@@ -166,13 +149,13 @@ def _points(value: Any) -> Float[Array, "J 3"]:
 
 
 def _person(
-    name: str, found: list[_Detection], size: tuple[int, int], names: tuple[str | None, ...] | None = None
+    name: str, found: list[_Detection], size: tuple[int, int], names: tuple[str, ...] | None = None
 ) -> PoseTrack:
     """Build a track with an assumed camera whose focal length is the image's diagonal; only sizes depend on it."""
     found = sorted(found, key=lambda detection: detection.number)
     height, width = size
     K = pinhole(math.hypot(height, width), width / 2, height / 2)
-    pixels = np.stack([_as_24(one.points, names) for one in found])
+    pixels = np.stack([keypoints_as_24(one.points, names) for one in found])
     frames = np.array([one.number for one in found], np.int64)
     images = tuple(one.image for one in found if one.image is not None)
     return PoseTrack(
@@ -184,27 +167,3 @@ def _person(
         K=np.tile(K, (len(found), 1, 1)),
         images=images if len(images) == len(found) else None,
     )
-
-
-def _as_24(points: Float[Array, "J c"], names: tuple[str | None, ...] | None) -> Float[Array, "24 2"]:
-    """Return SMPL's joints, NaN where unknown or unreliable; pelvis and neck between hips and shoulders."""
-    if names is None:
-        count = 17 if len(points) in _MORE_THAN_COCO else len(points)
-        names = _LAYOUTS.get(count)
-        if names is None:
-            raise InputError(
-                f"{len(points)} keypoints are of no known layout: give COCO's 17, OpenPose's 25, SMPL's 24, or any "
-                "with joint_names"
-            )
-        points = points[:count]
-    if len(names) != len(points):
-        raise InputError(f"it has {len(points)} keypoints and {len(names)} joint_names")
-    full = np.full((24, 2), np.nan)
-    for point, name in zip(points, names, strict=True):
-        if name in JOINT_NAMES and not (len(point) == 3 and not point[2] >= _LEAST_CONFIDENCE):
-            full[JOINT_NAMES.index(name)] = point[:2]
-    for middle, sides in (("pelvis", "hip"), ("neck", "shoulder")):
-        at = JOINT_NAMES.index(middle)
-        if np.isnan(full[at]).any():
-            full[at] = (full[JOINT_NAMES.index(f"left_{sides}")] + full[JOINT_NAMES.index(f"right_{sides}")]) / 2
-    return full

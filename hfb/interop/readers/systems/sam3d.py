@@ -22,6 +22,7 @@ from hfb.initialization.joint_layouts import MHR70_AS_24
 from hfb.interop.readers.linking import linked
 from hfb.interop.readers.parts import MAX_PEOPLE, has_keys, named_all, numbers_at
 from hfb.interop.readers.pose_track import PoseTrack, pinhole, size_seen
+from hfb.interop.readers.seen_camera import camera_of_points, focal_of_points
 from hfb.io.safe.contents import named
 from hfb.typing import Array, Float
 
@@ -29,7 +30,6 @@ SYSTEM = "SAM 3D Body"
 _NEEDED = {"pred_keypoints_3d", "pred_cam_t"}
 _REACH_M = 1.0
 """Largest distance that a pelvis moves from one frame to the next."""
-_LEAST_KEYPOINTS, _LEAST_SPREAD = 6, 1e-3
 _log = logging.getLogger(__name__)
 
 
@@ -120,13 +120,7 @@ def _focal_px(one: dict[str, Any], points: Float[Array, "70 3"]) -> float:
     if one.get("pred_keypoints_2d") is None:
         raise InputError("it has no focal_length, and no pred_keypoints_2d that would tell it; save one of them too")
     pixels = numbers_at(one, "pred_keypoints_2d", 70, 2, finite=False)
-    known = np.isfinite(pixels).all(1) & np.isfinite(points).all(1) & (points[:, 2] > 0)
-    rays = points[known, :2] / points[known, 2:]
-    if known.sum() < _LEAST_KEYPOINTS or np.ptp(rays, axis=0).max() < _LEAST_SPREAD:
-        return float("nan")  # such rows are left out
-    spread = rays - rays.mean(0)
-    focal_px = float((spread * (pixels[known] - pixels[known].mean(0))).sum() / (spread * spread).sum())
-    return focal_px if focal_px > 0 else float("nan")
+    return focal_of_points(points, pixels)  # rows without one are left out
 
 
 def _camera(
@@ -136,11 +130,7 @@ def _camera(
     if one.get("pred_keypoints_2d") is None:
         return pinhole(focal_px, size[1] / 2, size[0] / 2)
     pixels = numbers_at(one, "pred_keypoints_2d", 70, 2, finite=False)
-    known = np.isfinite(pixels).all(1) & np.isfinite(points).all(1) & (points[:, 2] > 0)
-    if not known.any():
-        return pinhole(focal_px, np.nan, np.nan)
-    cx, cy = np.median(pixels[known] - focal_px * points[known, :2] / points[known, 2:], 0)
-    return pinhole(focal_px, float(cx), float(cy))
+    return camera_of_points(points, pixels, focal_px)
 
 
 def _ways(before: list[_Seen], now: list[_Seen]) -> Float[Array, "b n"]:
