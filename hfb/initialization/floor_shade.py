@@ -29,6 +29,8 @@ _UNLIKELY, _LIKELY = 0.2, 0.5
 """Likelihoods of shade from which a pixel on the floor is part of it, and is nothing else."""
 _SUSPECTED, _LOWER = 0.05, 0.4
 """Share of the matte that may be shade, in so much of its box: landmarks are looked for from here on."""
+_SEEN = 0.2
+"""Alpha that something of the person must have without shade: somebody in the plate's colours has none."""
 _DARKEST = 0.15
 """Least share of the light that deep shade leaves, where it is known to lie on the floor."""
 _LEAST_AGREEMENT = 0.35
@@ -63,7 +65,7 @@ class FloorShadeMatting:
         images = frame[inner], aligned_plate(frame, plate)[inner]
         alone = matte[inner] * (1 - shade_likelihood(*images))
         lower = slice(round((1 - _LOWER) * (bottom - top)), None)
-        if (matte[inner] - alone)[lower].sum() < _SUSPECTED * matte.sum():
+        if (matte[inner] - alone)[lower].sum() < _SUSPECTED * matte.sum() or alone.max() < _SEEN:
             return matte
         rest = np.zeros_like(matte)
         rest[inner] = alone

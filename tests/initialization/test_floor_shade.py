@@ -106,10 +106,18 @@ def test_shade_like_limbs_above_the_feet_stay() -> None:
     assert np.array_equal(without_floor_shade(matte, (sleeve > 0).astype(np.float32), standing()), matte)
 
 
-def test_without_shade_no_network_is_loaded(shared_data: Path) -> None:
-    def refuse() -> PoseNetworks:
-        raise InputError("not needed")
+def refuse() -> PoseNetworks:
+    raise InputError("not needed")
 
+
+def test_somebody_in_the_colours_of_the_plate_is_no_shade() -> None:
+    """Nothing would be left of them to find landmarks in."""
+    plate = generated_plate("clouds", *SIZE)
+    frame = plate * (1 - 0.4 * FIGURE[..., None])
+    assert np.array_equal(FloorShadeMatting(lambda *_: FIGURE.copy(), refuse)(frame, plate), FIGURE)
+
+
+def test_without_shade_no_network_is_loaded(shared_data: Path) -> None:
     folder = shared_data / "pose2sim_balancing"
     frame, plate = scene(folder / "cam04_f000-059.mp4", folder / "cam04_plate.png", 20)
     matting = make_matting(MattingConfig())
