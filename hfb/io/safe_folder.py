@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from hfb.errors import TemporaryError
+from hfb.errors import InputError, TemporaryError
 
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _DEEPEST = 32  # levels; hfb itself makes four
@@ -171,12 +171,12 @@ def read_file(root: Path, *parts: str, limit: int) -> bytes:
     Raises:
         NotOrdinary: it, or a folder on the way, is a link or a special file.
         FileNotFoundError: it is missing.
-        ValueError: it is larger than ``limit`` bytes.
+        InputError: it is larger than ``limit`` bytes.
         OSError: it cannot be read.
     """
     content = read_head(root, *parts, size=limit + 1)
     if len(content) > limit:
-        raise ValueError("too large")
+        raise InputError(f"{Path(root, *parts)} is larger than {limit >> 20} MB; move it away")
     return content
 
 

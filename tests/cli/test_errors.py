@@ -182,10 +182,10 @@ def test_the_unexpected_points_to_the_log(
 ) -> None:
     import hfb.tasks.image.matte
 
-    def broken(config: object) -> None:
+    def broken(*_arguments: object) -> None:
         raise RuntimeError("a wire came loose")
 
-    monkeypatch.setattr(hfb.tasks.image.matte, "make_matting", broken)
+    monkeypatch.setattr(hfb.tasks.image.matte, "person_matting", broken)
     # a command that an earlier test of this process ran logs into that test's folder
     monkeypatch.setattr(logging.getLogger(), "handlers", [])
     out = tmp_path / "out"
