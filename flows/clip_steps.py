@@ -25,7 +25,7 @@ from hfb.tasks.core.video_handles import (
     TrackHandle,
     WindowHandle,
 )
-from hfb.tasks.inputs.given_networks import tell_networks
+from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.map_task import Outcome, map_task
 from hfb.tasks.results.exports import ShotHandle
@@ -171,8 +171,8 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
             alone=alone,
             config=config.matting,
             network=inputs.matting,
-            init=config.init,
-            networks=inputs.networks,
+            landmarks=config.init.landmarks,
+            pose_networks=shade_networks(config.init, inputs.networks),
             folder=folder,
         )
         for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))

@@ -27,7 +27,7 @@ from hfb.tasks.image.fit_motion import fit_motion
 from hfb.tasks.image.fit_strip import strip
 from hfb.tasks.image.matte import matte
 from hfb.tasks.image.prepare import prepare
-from hfb.tasks.inputs.given_networks import tell_networks
+from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes, take_inputs, with_height
 from hfb.tasks.results.exports import ShotHandle, export_motion
 from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, fit_curves, write_report
@@ -105,8 +105,8 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
                 clip=scene,
                 index=index,
                 config=config.matting,
-                init=config.init,
-                networks=inputs.networks,
+                landmarks=config.init.landmarks,
+                pose_networks=shade_networks(config.init, inputs.networks),
                 folder=folder,
                 network=inputs.matting,
             )

@@ -11,13 +11,12 @@ from functools import partial
 import cv2
 import numpy as np
 
-from hfb.config import InitConfig
 from hfb.initialization.landmarks import LANDMARK, PoseNetworks, networks_ready
 from hfb.initialization.person_landmarks import draw_stick_figure, find_landmarks, stick_agreement, trunk_length
-from hfb.matting.alignment import aligned_plate
 from hfb.matting.known_background import shadow_evidence
 from hfb.matting.matte_network import quiet_noise
 from hfb.matting.matting_protocol import Matting, Picture, Plate, matte_region, shrink
+from hfb.networks.mediapipe_files import LandmarkChoice
 from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float
 
@@ -62,7 +61,7 @@ class FloorShadeMatting:
         frame, plate = (np.clip(np.asarray(one, np.float32), 0, 1) for one in (frame_linear, plate_linear))
         top, left, bottom, right = matte_region(matte, _MARGIN)
         inner = (slice(top, bottom), slice(left, right))
-        images = frame[inner], aligned_plate(frame, plate)[inner]
+        images = frame[inner], plate[inner]
         alone = matte[inner] * (1 - shade_likelihood(*images))
         lower = slice(round((1 - _LOWER) * (bottom - top)), None)
         if (matte[inner] - alone)[lower].sum() < _SUSPECTED * matte.sum() or alone.max() < _SEEN:
@@ -78,19 +77,17 @@ class FloorShadeMatting:
         return matte
 
 
-def without_shade(matting: Matting, init: InitConfig) -> Matting:
-    """Return a method of matting without shade on the floor, where first bodies come from pose networks.
+def without_shade(matting: Matting, choice: LandmarkChoice = "auto") -> Matting:
+    """Return a method of matting without shade on the floor; the method itself where there are no pose networks.
 
     Args:
         matting: the method.
-        init: options of the first bodies.
+        choice: choice among the landmark networks.
 
     Raises:
         InputError: as `networks_ready`.
     """
-    if init.method not in ("auto", "mediapipe") or not networks_ready(init.landmarks):
-        return matting
-    return FloorShadeMatting(matting, partial(PoseNetworks, init.landmarks))
+    return FloorShadeMatting(matting, partial(PoseNetworks, choice)) if networks_ready(choice) else matting
 
 
 def shade_likelihood(

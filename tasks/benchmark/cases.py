@@ -19,7 +19,7 @@ from hfb.io.clip import read_clip
 from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, digest
 from hfb.tasks.image.matte import matte
 from hfb.tasks.image.prepare import prepare
-from hfb.tasks.inputs.given_networks import check_networks
+from hfb.tasks.inputs.given_networks import check_networks, shade_networks
 from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
 
@@ -191,7 +191,14 @@ def see_case(call: SeeCall) -> ReadyHandle:
     )
     folder.mkdir(parents=True, exist_ok=True)
     mattes = tuple(
-        matte.fn(clip=clip, index=index, config=call.matting, init=call.init, networks=call.networks, folder=folder)
+        matte.fn(
+            clip=clip,
+            index=index,
+            config=call.matting,
+            landmarks=call.init.landmarks,
+            pose_networks=shade_networks(call.init, call.networks),
+            folder=folder,
+        )
         for index in range(case.frames)
     )
     starts = _starts(call, case, clip, mattes, folder=folder)

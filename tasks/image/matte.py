@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from hfb.config import InitConfig, MattingConfig
+from hfb.config import MattingConfig
 from hfb.io.media.images.image_io import write_matte
+from hfb.networks.mediapipe_files import LandmarkChoice
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import load_image
 from hfb.tasks.inputs.given_networks import person_matting
@@ -16,8 +17,8 @@ def matte(
     clip: ClipHandle,
     index: int,
     config: MattingConfig,
-    init: InitConfig,
-    networks: tuple[FileHandle, ...],
+    landmarks: LandmarkChoice,
+    pose_networks: tuple[FileHandle, ...],
     folder: Path,
     network: FileHandle | None = None,
 ) -> FileHandle:
@@ -27,8 +28,8 @@ def matte(
         clip: all frames.
         index: of the frame.
         config: options of the matte.
-        init: options of the first body, which name the pose networks that tell the person from shade on the floor.
-        networks: the installed pose networks.
+        landmarks: choice among the landmark networks.
+        pose_networks: those that tell the person from shade on the floor, by `shade_networks`.
         folder: where the matte goes.
         network: the user's own, for methods that need one.
 
@@ -36,7 +37,7 @@ def matte(
         InputError: nothing differs from the background, or this machine has other pose networks.
     """
     frame, plate = load_image(clip.frames[index], clip), load_image(clip.background, clip)
-    alpha = person_matting(config, network, init, networks)(frame.numpy(), plate.numpy())
+    alpha = person_matting(config, network, landmarks, pose_networks)(frame.numpy(), plate.numpy())
     path = folder / f"matte_{index}.png"
     write_matte(path, alpha)
     return FileHandle.of(path)

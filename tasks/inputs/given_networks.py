@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from hfb.config import OWN_NETWORKS, InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
 from hfb.interop.readers.beside import companions
-from hfb.networks.mediapipe_files import LANDMARK_FULL, networks_in_use
+from hfb.networks.mediapipe_files import LANDMARK_FULL, LandmarkChoice, networks_in_use
 from hfb.networks.network_files import check_network_file
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.telemetry import progress
@@ -83,16 +83,26 @@ def with_matting_network(config: MattingConfig, file: FileHandle | None) -> Matt
     return config if file is None else config.model_copy(update={"weights": file.path})
 
 
+def shade_networks(init: InitConfig, networks: tuple[FileHandle, ...]) -> tuple[FileHandle, ...]:
+    """Return the networks that tell a person from shade on the floor: MediaPipe's, where first bodies use them.
+
+    Args:
+        init: options of the first bodies.
+        networks: the installed pose networks, or the user's own.
+    """
+    return networks if init.method in ("auto", "mediapipe") else ()
+
+
 def person_matting(
-    config: MattingConfig, own: FileHandle | None, init: InitConfig, networks: tuple[FileHandle, ...]
+    config: MattingConfig, own: FileHandle | None, landmarks: LandmarkChoice, networks: tuple[FileHandle, ...]
 ) -> Matting:
-    """Return the method of matting, without shade on the floor where pose networks can tell it.
+    """Return the method of matting, without shade on the floor where there are networks that tell it.
 
     Args:
         config: options of the mattes.
         own: the user's matting network; None for methods without one.
-        init: options of the first bodies.
-        networks: the pose networks of the calling machine.
+        landmarks: choice among the landmark networks.
+        networks: those of the calling machine, by `shade_networks`.
 
     Raises:
         InputError: as `check_networks`.
@@ -103,8 +113,8 @@ def person_matting(
     matting = make_matting(with_matting_network(config, own))
     if not networks:
         return matting
-    check_networks(init, networks)
-    return without_shade(matting, init)
+    check_networks(InitConfig(landmarks=landmarks), networks)
+    return without_shade(matting, landmarks)
 
 
 def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> InitConfig:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
+from hfb.networks.mediapipe_files import LandmarkChoice
 from hfb.tasks.core.handles import Call, FileHandle, FirstBodyHandle, FrameHandle
 from hfb.tasks.core.video_handles import BodyFound, FootageHandle, FrameCall, FramesHandle, MatteHandle, SeenFrameCall
 from hfb.tasks.inputs.given_networks import check_networks, person_matting, with_pose_network
@@ -35,16 +36,16 @@ class MatteCall(FrameCall):
         alone: whether the person is the only one in the clip.
         config: options of the matte.
         network: the user's own, for methods that need one.
-        init: options of the first body, which name the pose networks that tell the person from shade on the floor.
-        networks: the installed pose networks.
+        landmarks: choice among the landmark networks.
+        pose_networks: those that tell the person from shade on the floor, by `shade_networks`.
     """
 
     box: tuple[float, float, float, float]
     alone: bool
     config: MattingConfig
     network: FileHandle | None
-    init: InitConfig
-    networks: tuple[FileHandle, ...]
+    landmarks: LandmarkChoice
+    pose_networks: tuple[FileHandle, ...]
 
 
 class KeyBodyCall(SeenFrameCall):
@@ -112,7 +113,7 @@ def find_matte(call: MatteCall) -> MatteHandle:
     from hfb.tasks.core.scene import load_image
     from hfb.tracking.tracks import keep_person, surroundings
 
-    matting = person_matting(call.config, call.network, call.init, call.networks)
+    matting = person_matting(call.config, call.network, call.landmarks, call.pose_networks)
     frame, plate = (load_image(one, call.still).numpy() for one in (call.still.frames[0], call.still.background))
     # A matte is of the largest thing that differs, which may be somebody else: each is then looked at alone.
     near = np.s_[:, :] if call.alone else surroundings(np.asarray(call.box), *frame.shape[:2])

@@ -9,7 +9,7 @@ import torch
 
 from hfb.body.height import height_m
 from hfb.body.model import Body
-from hfb.config import InitConfig, MattingConfig
+from hfb.config import MattingConfig
 from hfb.datasets.case import Case
 from hfb.datasets.simulated_start import simulated_starts
 from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES, load_sharp
@@ -190,7 +190,7 @@ class SharpMiddle:
             )
         linear = observation.light == "linear"
         plate = observation.plate_linear if linear else srgb_to_linear(observation.plate_linear)
-        matting = without_shade(make_matting(MattingConfig()), InitConfig())
+        matting = without_shade(make_matting(MattingConfig()))
         found = []
         with one_torch_thread():
             for path in case.middle_paths():

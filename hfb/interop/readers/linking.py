@@ -14,6 +14,8 @@ _MOST_STEPS = 3
 """Number of frames over which a person's possible distance grows."""
 _REMEMBERED, _MOST_IN_FRAME = 5, 128
 """Number of frames after which a person counts as new; and the largest number of people in a frame."""
+_PELVIS_REACH_M = 1.0
+"""Largest distance that a pelvis moves from one frame to the next."""
 
 
 @runtime_checkable
@@ -57,6 +59,16 @@ def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Flo
             people[person].append(one)
             recent[-1].add(person)
     return people
+
+
+def pelvis_ways(before: Float[Array, "b 3"], now: Float[Array, "n 3"]) -> Float[Array, "b n"]:
+    """Return distances between the pelvises of two frames as `linked` takes them.
+
+    Args:
+        before: pelvises in the earlier frame [m].
+        now: pelvises in the later one [m].
+    """
+    return np.linalg.norm(before[:, None] - now, axis=-1) / _PELVIS_REACH_M
 
 
 def _followed(

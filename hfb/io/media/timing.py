@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from hfb.config import ExposureConfig
 from hfb.errors import InputError
 from hfb.io.clip import ClipExposure
@@ -77,17 +75,3 @@ def _exposure(footage: Footage, exposure: ClipExposure, config: ExposureConfig) 
         return recorded[0], f"exposure: {recorded[0]:.6g} s, from {recorded[1]}"
     asked = " (asked for as auto, but the footage does not tell it)" if exposure.auto else ""
     return interval_s, f"exposure: assumed to be the whole interval of {interval_s:.6g} s{asked}"
-
-
-def regular(times_s: Float[Array, "T"], share: float = 0.25) -> bool:
-    """Return whether all intervals between frames equal the median within a share of it.
-
-    Args:
-        times_s: times of the frames.
-        share: largest relative deviation.
-    """
-    if len(times_s) < 3:
-        return True
-    steps = np.diff(times_s)
-    usual = float(np.median(steps))
-    return bool((np.abs(steps - usual) <= share * usual).all())

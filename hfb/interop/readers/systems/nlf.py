@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.interop.readers.linking import linked
+from hfb.interop.readers.linking import linked, pelvis_ways
 from hfb.interop.readers.parts import MAX_PEOPLE, has_keys
 from hfb.interop.readers.pose_track import PoseTrack, pinhole, size_seen
 from hfb.interop.readers.seen_camera import camera_of_points, focal_of_points
@@ -28,8 +28,6 @@ SYSTEM = "NLF"
 _NEEDED = ("pose", "betas", "joints3d")
 _FIELD_OF_VIEW_DEG = 55.0
 _JOINTS = {72: 24, 165: 55}
-_REACH_M = 1.0
-"""Largest distance that a pelvis moves from one frame to the next."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +115,7 @@ def _look(
 
 def _ways(before: list[_Seen], now: list[_Seen]) -> Float[Array, "b n"]:
     """Return distances between pelvises."""
-    away = np.stack([one.pelvis for one in before])[:, None] - np.stack([one.pelvis for one in now])
-    return np.linalg.norm(away, axis=-1) / _REACH_M
+    return pelvis_ways(*(np.stack([one.pelvis for one in frame]) for frame in (before, now)))
 
 
 def _person(name: str, rows: list[_Seen], size: tuple[int, int], space: Any) -> PoseTrack:

@@ -19,7 +19,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.initialization.joint_layouts import MHR70_AS_24
-from hfb.interop.readers.linking import linked
+from hfb.interop.readers.linking import linked, pelvis_ways
 from hfb.interop.readers.parts import MAX_PEOPLE, has_keys, named_all, numbers_at
 from hfb.interop.readers.pose_track import PoseTrack, pinhole, size_seen
 from hfb.interop.readers.seen_camera import camera_of_points, focal_of_points
@@ -28,8 +28,6 @@ from hfb.typing import Array, Float
 
 SYSTEM = "SAM 3D Body"
 _NEEDED = {"pred_keypoints_3d", "pred_cam_t"}
-_REACH_M = 1.0
-"""Largest distance that a pelvis moves from one frame to the next."""
 _log = logging.getLogger(__name__)
 
 
@@ -135,8 +133,7 @@ def _camera(
 
 def _ways(before: list[_Seen], now: list[_Seen]) -> Float[Array, "b n"]:
     """Return distances between pelvises."""
-    away = np.stack([one.joints[0] for one in before])[:, None] - np.stack([one.joints[0] for one in now])
-    return np.linalg.norm(away, axis=-1) / _REACH_M
+    return pelvis_ways(*(np.stack([one.joints[0] for one in frame]) for frame in (before, now)))
 
 
 def _person(name: str, rows: list[_Seen], size: tuple[int, int]) -> PoseTrack:
