@@ -46,7 +46,7 @@ def test_a_pickled_record_is_removed_before_prefect_runs_it(tmp_path: Path) -> N
 
 
 @pytest.mark.integration
-def test_a_flow_within_another_keeps_its_own_records(tmp_path: Path) -> None:
+def test_a_flow_within_another_keeps_its_own_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As `hfb batch` runs clips, and a deployment any flow."""
     place = str(tmp_path / "clip" / "records")
 
@@ -58,7 +58,7 @@ def test_a_flow_within_another_keeps_its_own_records(tmp_path: Path) -> None:
             return flow(kept, persist_result=False)(), kept_by_task()
 
     kept_by_task = task(kept, name="kept")
-    with orchestrated(tmp_path, pytest.MonkeyPatch()):
+    with orchestrated(tmp_path, monkeypatch):
         assert flow(nested, persist_result=False)() == (place, place)
 
 
