@@ -176,7 +176,7 @@ def read_file(root: Path, *parts: str, limit: int) -> bytes:
     """
     content = read_head(root, *parts, size=limit + 1)
     if len(content) > limit:
-        raise InputError(f"{Path(root, *parts)} is larger than {limit >> 20} MB; move it away")
+        raise InputError(f"{Path(root, *parts)} is too large: more than {limit:,} bytes; move it away")
     return content
 
 
