@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from hfb.errors import InputError
+from hfb.io.safe_folder import check_readable
 
 RecordT = TypeVar("RecordT", bound=BaseModel)
 
@@ -29,9 +30,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: the file is missing or no TOML.
     """
     try:
+        check_readable(path)
         if path.stat().st_size > _BYTE_LIMIT:
             raise InputError(f"{path} is too large for a TOML file of options; give another file")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # editors under Windows begin it with a mark
         if any(part.count(".") > _LONGEST_NAME for part in re.split(r"[=,{}\[\]\n]", text)):
             raise InputError(f"{path} has a name of more than {_LONGEST_NAME} parts; no option has")
         return tomllib.loads(text)

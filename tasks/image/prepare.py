@@ -7,6 +7,7 @@ from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip
 from hfb.io.media.images.image_decoding import doubt_depths
+from hfb.io.media.lens.clip_lens import check_pinhole
 from hfb.matting.exposure_match import NO_GAIN, frame_gain, in_plate_exposure
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FrameHandle
@@ -75,17 +76,22 @@ def prepare(
             f"an exposure of {exposure_s:g} s does not fit into the {interval_s:g} s between frames: "
             "give the true fps or exposure time"
         )
+    K = calibration(camera, clip, height, width)
     return ClipHandle(
         frames=tuple(matched),
         background=background,
         height=height,
         width=width,
-        K=calibration(camera, clip, height, width),
+        K=K,
         exposure_s=exposure_s,
         interval_s=interval_s,
         transfer=clip.transfer,
         light=exposure.light,
-        remarks=(*remarks, *((told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(with_person) else ())),
+        remarks=(
+            *remarks,
+            *check_pinhole(K, height, width),
+            *((told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(with_person) else ()),
+        ),
     )
 
 

@@ -44,7 +44,7 @@ def look_at_clip(
         InputError: no frame can be decoded, or clip.toml or an option does not fit the clip.
     """
     from hfb.io.media.footage import open_footage
-    from hfb.io.media.lens.clip_lens import clip_lens
+    from hfb.io.media.lens.clip_lens import check_pinhole, clip_lens
     from hfb.io.media.timing import settle_timing
 
     clip = inputs.clip
@@ -67,19 +67,20 @@ def look_at_clip(
     given_files = [file.model_dump(mode="json") for file in inputs.video]
     content = {"footage": _plain(footage), "timing": _plain(timing), "given": given_files}
     path, size = folder / "footage.json", (footage.height, footage.width)
+    K = lens.pinhole() if lens and camera.focal_px is None else calibration(camera, clip, *size)
     write_bytes_atomic(path, json.dumps(content).encode())
     return FootageHandle.of(
         path,
         count=footage.count,
         height=footage.height,
         width=footage.width,
-        K=lens.pinhole() if lens and camera.focal_px is None else calibration(camera, clip, *size),
+        K=K,
         exposure_s=timing.exposure_s,
         interval_s=timing.interval_s,
         transfer=footage.transfer,
         light=exposure.light,
         bits=footage.bits,
-        remarks=(*footage.remarks, timing.source),
+        remarks=(*footage.remarks, timing.source, *check_pinhole(K, *size)),
     )
 
 

@@ -15,6 +15,9 @@ _ROUNDING_S = 1e-9
 _FASTEST_RAD_S = 55.0
 """3150 degrees per second: kicks and runs in recordings stay below 2700, a pitcher's forearm alone turns faster."""
 
+_FASTEST_M_S = 20.0
+"""Sprinters reach 12.5 m/s; takes that were joined or looped leap to another place in one frame."""
+
 
 def resample(clip: MotionClip, times_s: Float[Array, "S"]) -> tuple[Float[Array, "S 24 3"], Float[Array, "S 3"]]:
     """Return joint rotations (axis-angle [rad], angles in [0, pi]) and translations [m] at the given instants.
@@ -65,9 +68,10 @@ def _spline(
 
 
 def has_jump(clip: MotionClip, start_s: float, end_s: float) -> bool:
-    """Return whether a joint turns from one frame to the next faster than a person can: an error of the recording.
+    """Return whether a joint turns, or the person moves, from one frame to the next faster than a person can.
 
-    Published conversions have limbs that turn by half a turn within a frame; such a window shows no motion.
+    Published conversions have limbs that turn by half a turn within a frame; such a window shows no motion but an error
+    of the recording.
 
     Args:
         clip: the recorded motion.
@@ -75,8 +79,9 @@ def has_jump(clip: MotionClip, start_s: float, end_s: float) -> bool:
         end_s: end of the window, likewise.
     """
     first = max(int(np.floor(start_s * clip.fps)), 0)
-    poses = clip.poses[first : int(np.ceil(end_s * clip.fps)) + 1].astype(np.float64)
-    quaternions = from_axis_angle(poses)
+    rows = slice(first, int(np.ceil(end_s * clip.fps)) + 1)
+    quaternions = from_axis_angle(clip.poses[rows].astype(np.float64))
     cosine = np.abs((quaternions[1:] * quaternions[:-1]).sum(-1)).min(initial=1.0)
     fastest = 2 * np.arccos(min(float(cosine), 1.0)) * clip.fps
-    return bool(fastest > _FASTEST_RAD_S)
+    moved_m = np.linalg.norm(np.diff(clip.translations[rows].astype(np.float64), axis=0), axis=-1).max(initial=0.0)
+    return bool(fastest > _FASTEST_RAD_S or moved_m * clip.fps > _FASTEST_M_S)

@@ -119,7 +119,8 @@ def read_joints_npz(path: Path) -> Markers:
 def read_trc(path: Path) -> Markers:
     """Read OpenSim's .trc: tab-separated, a header of five lines, then frame number, time and x y z per marker.
 
-    A gap is an empty cell. Rows are placed by their time: frame = time * rate.
+    A gap is an empty cell, NaN, or a point exactly at the origin, as Vicon, Qualisys and Mokka write lost markers.
+    Rows are placed by their time: frame = time * rate.
 
     Args:
         path: the file.
@@ -152,7 +153,9 @@ def read_trc(path: Path) -> Markers:
     frames = np.round(np.array(times) * rate)
     if np.abs(np.array(times) * rate - frames).max() > 0.1:
         raise InputError(f"{path}: its times do not lie on its DataRate of {rate:g} Hz; export it again.")
-    return _checked(Markers(frames.astype(np.int64), rate, names, np.stack(points) * _UNITS_M[unit]), path)
+    xyz_m = np.stack(points) * _UNITS_M[unit]
+    xyz_m[(xyz_m == 0).all(-1)] = np.nan
+    return _checked(Markers(frames.astype(np.int64), rate, names, xyz_m), path)
 
 
 def _lines(path: Path) -> list[str]:

@@ -98,3 +98,12 @@ def test_a_jump_is_found_where_it_is_and_nowhere_else():
     assert not has_jump(clip, 0.0, 29 / 60)
     assert not has_jump(clip, 30 / 60, 59 / 60)
     assert not has_jump(clip, 0.5, 0.5)
+
+
+def test_a_leap_of_the_whole_person_is_a_jump():
+    places = np.outer(np.arange(60), [0.15, 0, 0])  # 9 m/s
+    places[30:, 2] += 1.5  # the second of two takes that were joined
+    clip = MotionClip("joined", np.zeros((60, 24, 3)), places, 60.0)
+    assert has_jump(clip, 29 / 60, 30 / 60)
+    assert not has_jump(clip, 0.0, 29 / 60)
+    assert not has_jump(clip, 30 / 60, 59 / 60)

@@ -214,3 +214,14 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path):
     (tmp_path / "bomb.npz").write_bytes(data[:entry] + (1 << 31).to_bytes(4, "little") + data[entry + 4 :])
     with pytest.raises(InputError, match="larger than 512 MB"):
         load_smpl_motion(tmp_path / "bomb.npz", "bomb")
+
+
+def test_degrees_are_refused(tmp_path):
+    poses, turning = np.rad2deg(_body()), _body()
+    turning[:, :3] *= 30  # a dancer whose turns were unwrapped
+    facts = {"trans": _path(), "fps": np.array(30.0)}
+    np.savez(tmp_path / "a.npz", poses=np.pad(poses, ((0, 0), (0, 6))), **facts)
+    with pytest.raises(InputError, match="convert its degrees to radians"):
+        load_smpl_motion(tmp_path / "a.npz", "walk")
+    np.savez(tmp_path / "b.npz", poses=np.pad(turning, ((0, 0), (0, 6))), **facts)
+    np.testing.assert_allclose(load_smpl_motion(tmp_path / "b.npz", "walk").poses[:, 0, 1], 30 * _body()[:, 1])

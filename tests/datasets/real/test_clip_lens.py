@@ -9,7 +9,7 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.clip import ClipCamera
-from hfb.io.media.lens.clip_lens import clip_lens
+from hfb.io.media.lens.clip_lens import check_pinhole, clip_lens
 
 MATRIX = np.array([[800.0, 0, 319.5], [0, 810, 239.5], [0, 0, 1]])
 DISTORTION = np.array([[-0.1, 0.02, 0.001, -0.002, 0.0]])
@@ -81,3 +81,17 @@ def test_none_and_mistakes(tmp_path: Path) -> None:
             clip_lens(ClipCamera(calibration=tmp_path / name), "a.mp4", 480, 640)
     with pytest.raises(InputError, match="no such file"):
         clip_lens(ClipCamera(calibration=tmp_path / "missing.yaml"), "a.mp4", 480, 640)
+
+
+def _pinhole(f: float, cx: float, cy: float) -> tuple[tuple[float, float, float], ...]:
+    return (f, 0.0, cx), (0.0, f, cy), (0.0, 0.0, 1.0)
+
+
+def test_a_focal_length_in_millimetres_and_a_calibration_of_another_size() -> None:
+    with pytest.raises(InputError, match="24 px shows 177 degrees in 1920 x 1080 pixels: give pixels"):
+        check_pinhole(_pinhole(24, 960, 540), 1080, 1920)
+    for scale in (0.5, 2 / 3, 2):
+        (told,) = check_pinhole(_pinhole(1500, 960 * scale + 9, 540 * scale - 7), 1080, 1920)
+        assert "K seems to be of another size" in told
+    for cx, cy in ((960, 540), (1010, 500), (1900, 300), (-400, 540), (0, 0)):  # the last three: parts of a picture
+        assert check_pinhole(_pinhole(1500, cx, cy), 1080, 1920) == ()

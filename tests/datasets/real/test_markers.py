@@ -44,6 +44,20 @@ def test_a_half_known_point_is_unknown_and_cut_off_gaps_are_gaps(tmp_path: Path)
     assert np.isnan(read.xyz_m[3, 2]).all()
 
 
+@pytest.mark.parametrize("word", ["0.00000", "0", "-0.0", "NaN", "nan"])
+def test_lost_markers_that_are_written_as_numbers(tmp_path: Path, word: str) -> None:
+    write_trc(tmp_path / "a.trc", _points(), _NAMES, 60)
+    lines = (tmp_path / "a.trc").read_text().splitlines()
+    cells = lines[5].split("\t")
+    cells[2:5] = [word] * 3
+    cells[5] = "0"  # a coordinate alone may be zero
+    lines[5] = "\t".join(cells)
+    (tmp_path / "a.trc").write_text("\n".join(lines))
+    read = read_trc(tmp_path / "a.trc")
+    assert np.isnan(read.xyz_m[0, 0]).all()
+    assert read.xyz_m[0, 1, 0] == 0
+
+
 def test_rows_are_placed_by_their_time(tmp_path: Path) -> None:
     write_trc(tmp_path / "a.trc", _points(), _NAMES, 60)
     lines = (tmp_path / "a.trc").read_text().splitlines()

@@ -1,6 +1,7 @@
 """Files that promise more than they hold, or are something else than they are called."""
 
 import io
+import os
 import zipfile
 from pathlib import Path
 
@@ -12,9 +13,11 @@ from hfb.errors import InputError
 from hfb.io.array_files import names_in, parse_array, read_arrays, weights_file
 from hfb.io.clip import ClipCamera
 from hfb.io.media.footage import open_footage
+from hfb.io.media.lens.camera_files import read_calibration
 from hfb.io.media.lens.clip_lens import clip_lens
 from hfb.io.media.video import video_file
 from hfb.io.toml_file import read_toml
+from tests.datasets.real.videos import cameras_json
 from tests.io.media.videos import picture, write_video
 
 
@@ -107,6 +110,21 @@ def test_frames_are_counted_and_measured(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(video_file, "PIXEL_LIMIT", 1000)
     with pytest.raises(InputError, match="64 x 48 pixels are over the limit"):
         open_footage(tmp_path / "a.mp4")
+
+
+def test_toml_that_is_no_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "device.toml").symlink_to("/dev/zero")
+    for name, kind in (("pipe", "named pipe"), ("device", "device")):
+        with pytest.raises(InputError, match=f"is a {kind} and no file"):
+            read_toml(tmp_path / f"{name}.toml")
+
+
+def test_toml_and_json_with_the_mark_of_editors_under_windows(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbf[exposure]\r\nfps = 30\r\n")
+    assert read_toml(tmp_path / "a.toml") == {"exposure": {"fps": 30}}
+    (tmp_path / "cameras.json").write_text(cameras_json(), encoding="utf-8-sig")
+    assert read_calibration(tmp_path / "cameras.json")
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,8 @@ def check_clip(
         world: rotation (w, x, y, z) from the file's world to one with y up; None where it is one.
 
     Raises:
-        InputError: shapes that do not belong together, fewer than two frames, values that are not finite, no such rate.
+        InputError: shapes that do not belong together, fewer than two frames, values that are not finite or in degrees,
+            no such rate.
     """
     if trans.shape != (len(poses), 3):
         raise InputError(f"{path} has {len(poses)} poses but translations of shape {trans.shape}; expected is (F, 3)")
@@ -106,6 +107,9 @@ def check_clip(
         raise InputError(f"{path} has {len(poses)} frames; a motion needs from 2 to {_MAX_FRAMES}")
     if not np.isfinite(poses).all() or not np.isfinite(trans).all() or np.abs(trans).max() > _MAX_PLACE_M:
         raise InputError(f"{path} has values that are not finite or not in radians and metres; export it again")
+    largest = np.linalg.norm(poses.reshape(len(poses), -1, 3)[:, 1:], axis=-1).max(1, initial=0.0)
+    if np.median(largest) > 2 * np.pi:  # below a half turn where they are vectors; the root may go on turning
+        raise InputError(f"{path} turns its joints by {np.median(largest):.0f} rad: convert its degrees to radians")
     if not 0.1 <= fps <= _MAX_FPS:
         raise InputError(f"{path} says it has {fps:g} frames per second; expected is 0.1 to {_MAX_FPS:g}")
     full = np.zeros((len(poses), 24, 3))

@@ -199,7 +199,7 @@ def _json_cameras(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _FILE_LIMIT:
             raise InputError(f"{path}: is too large for a calibration.")
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror}); check the path.") from None
     except (ValueError, RecursionError):

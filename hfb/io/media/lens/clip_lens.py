@@ -3,6 +3,7 @@
 The camera's pose is not needed, only its lens.
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,8 @@ _WIDTH, _HEIGHT = ("imagewidth", "width"), ("imageheight", "height")
 _SIZE = ("size", "resolution", "imagesize", "imgsize")
 _MOST_SECTIONS = 200
 _HARMLESS_SKEW_PX = 0.05
+_WIDEST_DEG = 150.0  # of a pinhole's image
+_OFF_CENTRE, _SAME_POINT = 0.25, 0.05
 
 
 def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens | None:
@@ -61,6 +64,33 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
             "give the calibration of this camera at this size."
         )
     return _lens(where, entries)
+
+
+def check_pinhole(K: tuple[tuple[float, float, float], ...], height: int, width: int) -> tuple[str, ...]:
+    """Check that K belongs to images of a size; return what is doubtful, for the user.
+
+    Args:
+        K: calibration [px].
+        height: height of the images [px].
+        width: width of the images [px].
+
+    Raises:
+        InputError: no lens has such a focal length.
+    """
+    (fx, _, cx), (_, fy, cy), _ = K
+    seen_deg = 2 * math.degrees(max(math.atan(width / (2 * fx)), math.atan(height / (2 * fy))))
+    if seen_deg > _WIDEST_DEG:
+        raise InputError(
+            f"a focal length of {min(fx, fy):g} px shows {seen_deg:.0f} degrees in {width} x {height} pixels: give "
+            "pixels (a lens' millimetres times the pixels and divided by the millimetres of the sensor's width)"
+        )
+    x, y = 2 * cx / width, 2 * cy / height
+    if x <= 0 or abs(x - y) > _SAME_POINT * x or abs(x - 1) < _OFF_CENTRE:  # parts of a picture have it anywhere
+        return ()
+    return (
+        f"K seems to be of another size: its principal point ({cx:g}, {cy:g}) is the middle of {2 * cx:.0f} x "
+        f"{2 * cy:.0f} pixels and the pictures have {width} x {height}; scale K with them",
+    )
 
 
 def _chosen(path: Path, name: str | None, video: str) -> tuple[str, dict[str, Any]]:
