@@ -59,12 +59,13 @@ _LEAST_CONFIDENCE = 0.2
 
 
 def trusted(points: Float[Array, "J c"]) -> Float[Array, "J 2"]:
-    """Return keypoints [px] without their confidence, NaN where it is low.
+    """Return keypoints [px] without their confidence, NaN where it is low and where detectors that saw none put 0, 0.
 
     Args:
         points: x, y and, where there is a third column, the confidence.
     """
-    return points[:, :2] if points.shape[1] < 3 else np.where(points[:, 2:] >= _LEAST_CONFIDENCE, points[:, :2], np.nan)
+    seen = (points[:, :2] != 0).any(1, keepdims=True) & (points[:, 2:] >= _LEAST_CONFIDENCE).all(1, keepdims=True)
+    return np.where(seen, points[:, :2], np.nan)
 
 
 def keypoints_as_24(points: Float[Array, "J c"], names: tuple[str, ...] | None = None) -> Float[Array, "24 2"]:

@@ -78,7 +78,7 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
         names = (*_ARRAYS, *(name for name in _OPTIONAL if name in found))
         return SampledMotion(**{name: found[name] for name in names}), str(found["betas_space"])
     except FileNotFoundError:
-        raise InputError(f"there is no motion file at {path}") from None
+        raise InputError(f"there is no motion file at {path}: name a finished result, or make it again") from None
     except (KeyError, ValueError, OSError) as error:
         raise InputError(f"{path} is not a motion file of hfb ({error}); make one with `hfb fit`") from None
 

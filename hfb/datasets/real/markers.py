@@ -119,8 +119,7 @@ def read_joints_npz(path: Path) -> Markers:
 def read_trc(path: Path) -> Markers:
     """Read OpenSim's .trc: tab-separated, a header of five lines, then frame number, time and x y z per marker.
 
-    A gap is an empty cell, NaN, or a point exactly at the origin, as Vicon, Qualisys and Mokka write lost markers.
-    Rows are placed by their time: frame = time * rate.
+    A gap is an empty cell. Rows are placed by their time: frame = time * rate.
 
     Args:
         path: the file.
@@ -153,9 +152,7 @@ def read_trc(path: Path) -> Markers:
     frames = np.round(np.array(times) * rate)
     if np.abs(np.array(times) * rate - frames).max() > 0.1:
         raise InputError(f"{path}: its times do not lie on its DataRate of {rate:g} Hz; export it again.")
-    xyz_m = np.stack(points) * _UNITS_M[unit]
-    xyz_m[(xyz_m == 0).all(-1)] = np.nan
-    return _checked(Markers(frames.astype(np.int64), rate, names, xyz_m), path)
+    return _checked(Markers(frames.astype(np.int64), rate, names, np.stack(points) * _UNITS_M[unit]), path)
 
 
 def _lines(path: Path) -> list[str]:
@@ -197,12 +194,13 @@ def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float
 
 
 def _checked(markers: Markers, path: Path) -> Markers:
-    """Check markers: points complete or unknown, frames in order, plausible coordinates."""
+    """Check markers: points complete or unknown (NaN, or 0 0 0 as many programs write it), frames in order, size."""
     if not len(markers.frames) or (np.diff(markers.frames) <= 0).any() or markers.frames[0] < 0:
         raise InputError(f"{path}: its frames must increase from 0 or more, one row each.")
     if len(set(markers.names)) != len(markers.names):
         raise InputError(f"{path}: two markers have one name; rename one.")
-    xyz = np.where(np.isfinite(markers.xyz_m).all(-1, keepdims=True), markers.xyz_m, np.nan)
+    known = np.isfinite(markers.xyz_m).all(-1, keepdims=True) & (markers.xyz_m != 0).any(-1, keepdims=True)
+    xyz = np.where(known, markers.xyz_m, np.nan)
     if not np.isfinite(xyz).any():
         raise InputError(f"{path}: holds no known point; export it again.")
     if np.nanmax(np.abs(xyz)) > _FAR_M:

@@ -100,6 +100,9 @@ def tidy(track: PoseTrack) -> PoseTrack:
 
     Args:
         track: as read.
+
+    Raises:
+        InputError: most poses are in degrees.
     """
     usable = np.flatnonzero(_usable(track))
     if len(usable) < len(track):
@@ -117,6 +120,11 @@ def tidy(track: PoseTrack) -> PoseTrack:
 
 def _usable(track: PoseTrack) -> Bool[Array, "R"]:
     usable = np.ones(len(track), bool)
+    if (
+        track.poses is not None
+        and (np.linalg.norm(track.poses[:, 1:], axis=-1) > 2 * np.pi).any(1).sum() > len(track) / 2
+    ):
+        raise InputError("its joints turn by more than a full turn: convert its degrees to radians")
     for name in ("poses", "trans", "betas", "pelvis", "K"):
         array = getattr(track, name)
         if array is not None:

@@ -92,3 +92,20 @@ def test_poses_of_other_bodies(tmp_path: Path) -> None:
     written.path.write_bytes(pickle.dumps(written.content))
     with pytest.raises(InputError, match=r"in pred_betas it holds numbers of the shape \(5, 9\)"):
         read_joints(written.path)
+
+
+def test_lost_joints_that_are_written_as_zeros(tmp_path: Path) -> None:
+    given = JOINTS - JOINTS[:, :1]  # about the pelvis, which is no lost joint
+    given[1, [20, 21]] = 0.0
+    np.savez(tmp_path / "a.npz", joints=given)
+    read = read_joints(tmp_path / "a.npz")
+    assert np.isnan(read[1, [20, 21]]).all()
+    np.testing.assert_array_equal(np.delete(read, [20, 21], 1), np.delete(given, [20, 21], 1))
+    np.testing.assert_array_equal(read[[0, 2]], given[[0, 2]])
+
+
+def test_poses_in_degrees_are_refused(tmp_path: Path) -> None:
+    poses = np.full((5, 72), 20.0)
+    np.savez(tmp_path / "a.npz", poses=poses, trans=np.ones((5, 3)), mocap_framerate=30.0)
+    with pytest.raises(InputError, match="convert its degrees to radians"):
+        read_tracks([tmp_path / "a.npz"], HEIGHT, WIDTH)

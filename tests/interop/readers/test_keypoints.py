@@ -75,6 +75,17 @@ def test_arrays(tmp_path: Path) -> None:
     np.testing.assert_allclose(all_joints.pixels, pixels, atol=1e-3)
 
 
+def test_keypoints_at_0_0_were_not_seen(tmp_path: Path) -> None:
+    pixels = shown(tmp_path)
+    coco = np.stack([as_coco(one) for one in pixels])[..., :2]  # as YOLO's `keypoints.xy`, without a confidence
+    coco[1, COCO.index("left_knee")] = 0.0
+    np.savez(tmp_path / "k.npz", keypoints=coco)
+    (track,) = read_tracks([tmp_path / "k.npz"], HEIGHT, WIDTH)
+    assert track.pixels is not None
+    assert np.isnan(track.pixels[1, KNEE]).all()
+    np.testing.assert_allclose(track.pixels[0, KNEE], pixels[0, KNEE], atol=1e-3)
+
+
 def test_results_of_coco_and_alphapose(tmp_path: Path) -> None:
     pixels = shown(tmp_path)
     body = [

@@ -1,7 +1,8 @@
 """Any system's 3D joints: an .npz or JSON with `joints` (frames, 24 | 17 | 14, 3) in the camera's axes (y down) [m].
 
-joints        SMPL's 24, Human3.6M's 17 or the usual 14; or as many as joint_names has; NaN where unknown. Also
-              joints3d, joints_3d, keypoints3d, keypoints_3d, or an array alone
+joints        SMPL's 24, Human3.6M's 17 or the usual 14; or as many as joint_names has; NaN where unknown, or 0 0 0
+              but for one joint that is the origin of all frames. Also joints3d, joints_3d, keypoints3d,
+              keypoints_3d, or an array alone
 joint_names   SMPL's names (pelvis, left_hip, ...), for joints in another order or number
 K             (3, 3) or (frames, 3, 3), where the joints are placed before a camera; else only the pose is taken
 frame_index   the video's frame numbers, from 0 on; each row is the next frame where it is missing
@@ -69,9 +70,17 @@ def _cameras(value: Any, count: int) -> Float[Array, "R 3 3"]:
     return numbers(array, count, 3, 3, finite=False)
 
 
+def _without_zeros(array: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Replace points at 0 0 0, which stand for lost ones, by NaN; keep the joint about which all frames are centred."""
+    lost = (array == 0).all(-1)
+    centre = lost.all(0)
+    return np.where((lost & ~(centre & (centre.sum() == 1)))[..., None], np.nan, array)
+
+
 def _joints(array: Float[Array, "..."], one: dict[str, Any]) -> Float[Array, "R 24 3"]:
     if array.ndim != 3 or array.shape[2] != 3 or not len(array):
         raise InputError(f"its joints are {array.shape} instead of (frames, 24, 3)")
+    array = _without_zeros(array)
     if "joint_names" not in one:
         return np.stack([joints_as_24(row) for row in array])
     names = [text_of(name) for name in one["joint_names"]]
