@@ -98,3 +98,18 @@ def test_a_coloured_edge_lies_where_it_was_filmed(layout: _Layout) -> None:
             line, whole = pixels[:, channel], rgb[16, :, channel]
             found, meant = (np.interp(0.5, (v - v[0]) / (v[-1] - v[0]), columns) for v in (line, whole))
             assert abs(found - meant) < 0.12, (place, channel)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+@pytest.mark.parametrize("limited", [True, False])
+def test_gray_has_the_range_that_is_stated(bits: int, limited: bool) -> None:
+    unit = 2 ** (bits - 8)
+    black, white = (16 * unit, 235 * unit) if limited else (0, 2**bits - 1)
+    stored = np.round(np.linspace(black, white, 64)).astype(np.uint8 if bits == 8 else np.uint16)
+    picture = np.tile(stored, (48, 1))
+    frame = av.VideoFrame.from_ndarray(picture, format="gray" if bits == 8 else f"gray{bits}le")
+    frame.color_range = _LIMITED if limited else _FULL
+    levels = upright(frame, _NAME, 1.0)
+    most = np.iinfo(levels.dtype).max
+    expected = (picture.astype(float) - black) / (white - black)
+    np.testing.assert_allclose(levels / most, np.repeat(expected[..., None], 3, -1), atol=0.51 / most)

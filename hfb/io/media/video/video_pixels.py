@@ -56,9 +56,23 @@ def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
     form = "rgb48le" if is_deep(frame) else "rgb24"
     rgb = frame.reformat(format=form, interpolation=_CONVERSION, src_colorspace=matrix, src_color_range=color_range)
     pixels = rgb.to_ndarray()
+    bits = frame.format.components[0].bits
+    if frame.format.name.startswith("gray") and bits <= 16:
+        return _gray_levels(pixels, bits, 1 in (int(frame.color_range), color_range))
     if pixels.dtype == np.uint16 and is_yuv(frame):  # swscale's white is 255 * 256 there
         pixels = np.minimum((pixels.astype(np.uint32) * 257 + 128) >> 8, 65535).astype(np.uint16)
     return pixels
+
+
+def _gray_levels(pixels: Shaped[Array, "h w 3"], bits: int, limited: bool) -> Shaped[Array, "h w 3"]:
+    """Scale gray levels by their range: swscale takes every gray as of full range, and fills deep ones up with zeros."""
+    most = np.iinfo(pixels.dtype).max
+    low, high = (16 / 256 * 2**bits, 235 / 256 * 2**bits) if limited else (0, 2**bits - 1)
+    stored = pixels >> (16 - bits) if pixels.dtype == np.uint16 else pixels
+    if (low, high) == (0, most):
+        return pixels
+    table = (np.arange(2**bits) - low) * (most / (high - low))
+    return table.round().clip(0, most).astype(pixels.dtype)[stored]
 
 
 def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
