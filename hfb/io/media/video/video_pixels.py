@@ -65,7 +65,7 @@ def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
 
 
 def _gray_levels(pixels: Shaped[Array, "h w 3"], bits: int, limited: bool) -> Shaped[Array, "h w 3"]:
-    """Scale gray levels by their range: swscale takes every gray as of full range, and fills deep ones up with zeros."""
+    """Scale gray levels by their range: swscale takes all as of full range, and fills deep ones up with zeros."""
     most = np.iinfo(pixels.dtype).max
     low, high = (16 / 256 * 2**bits, 235 / 256 * 2**bits) if limited else (0, 2**bits - 1)
     stored = pixels >> (16 - bits) if pixels.dtype == np.uint16 else pixels
