@@ -68,7 +68,7 @@ def prepare(
         if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
             told = find_plate_mismatch(image_linear, plate_linear)
     told = told or tell_exposures([one.gain for one in matched])
-    remarks = images.remarks()
+    doubts = (told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(with_person) else ()
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = find_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
@@ -87,11 +87,7 @@ def prepare(
         interval_s=interval_s,
         transfer=clip.transfer,
         light=exposure.light,
-        remarks=(
-            *remarks,
-            *check_pinhole(K, height, width),
-            *((told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(with_person) else ()),
-        ),
+        remarks=(*images.remarks(), *check_pinhole(K, height, width), *doubts),
     )
 
 

@@ -207,9 +207,6 @@ def track_of(content: dict[str, Any]) -> PoseTrack:
     Raises:
         InputError: numbers of other shapes.
         KeyError: it is no such file.
-
-    Raises:
-        InputError: numbers of other shapes. KeyError: it is no such file.
     """
     frames = frame_numbers(numbers(content["frame_index"], None))
     count = len(frames)

@@ -14,7 +14,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.io.media.capture_rate import capture_remark, differs
-from hfb.io.media.footage_files import footage_files, one_size, sample_remarks
+from hfb.io.media.footage_files import footage_files, name_remarks, one_size, sample_remarks
 from hfb.io.media.footage_names import PICTURE_SUFFIXES
 from hfb.io.media.images.image_io import read_picture_srgb, recorded_exposure
 from hfb.io.media.lens.lens import Lens
@@ -213,7 +213,7 @@ def open_footage(
 
 def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None, transfer: Transfer) -> Footage:
     height, width, bits = one_size(files)
-    told = sample_remarks(files, transfer)
+    told = (*name_remarks(files), *sample_remarks(files, transfer))
     assumed = f"no frame rate given: assuming {ASSUMED_FPS:g} per second (fps in clip.toml)"
     return Footage(
         place,

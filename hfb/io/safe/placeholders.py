@@ -118,9 +118,6 @@ def check_keys(keys: Sequence[Any]) -> None:
 
     Raises:
         InputError: a key is something else.
-
-    Raises:
-        InputError: a key is something else.
     """
     for key in keys:
         paired = type(key) is tuple and len(key) == 2 and isinstance(key[0], str)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from hfb.errors import InputError
 from hfb.io.media.footage import Footage, open_footage
@@ -214,3 +215,23 @@ def test_distortion_is_taken_out(tmp_path: Path) -> None:
     assert not np.allclose(turned, plain)
     assert np.array_equal(turned, bent.developed(plain))
     assert np.allclose(turned[20, 30], plain[20, 30], atol=0.02)  # the principal point stays
+
+
+def test_frames_that_are_missing_or_double_by_their_names(tmp_path: Path) -> None:
+    def remarks(*names: str) -> tuple[str, ...]:
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        for name in names:
+            Image.new("RGB", (8, 6)).save(folder / name)
+        return open_footage(folder, fps=25).remarks
+
+    assert remarks("a_1.png", "a_2.png", "a_9.png", "a_10.png")[0].startswith(
+        "no frame lies between a_2.png and a_9.png"
+    )
+    assert remarks("cam1_002.png", "cam1_004.png", "cam1_006.png") == ()  # every other frame, in one row
+    assert remarks("171.png", "204.png", "238.png", "271.png") == ()  # times
+    assert remarks("first.png", "second.png") == ()
+    (told,) = remarks("01.png", "02 (1).png", "02.png", "03.png", "04.png")
+    assert told.startswith("02 (1).png is named unlike the other frames")
+    with pytest.raises(InputError, match=r"1\.jpg and 1\.png are one frame twice"):
+        remarks("1.png", "1.jpg", "2.png", "2.jpg")

@@ -5,7 +5,6 @@ of the first pixel at (0, 0). Here it lies at (0.5, 0.5), so half a pixel is add
 (`pinhole`).
 """
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,11 +17,9 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.io.media.lens.lens import undistortion_maps
+from hfb.io.media.lens.lens_documents import read_document
 from hfb.io.media.lens.lens_models import checked_coefficients, is_fisheye
-from hfb.io.toml_file import read_toml
 from hfb.typing import Array, Float
-
-_FILE_LIMIT = 16 << 20
 
 
 @dataclass(frozen=True)
@@ -108,11 +105,12 @@ def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
     Raises:
         InputError: missing, damaged, a distortion model that is not read, or a camera without one of its entries.
     """
-    if path.suffix.lower() == ".toml":
-        sections = {name: part for name, part in read_toml(path).items() if name != "metadata"}
-        read = _from_toml
-    else:
-        sections, read = _json_cameras(path), _from_json
+    sections, read = read_document(path), _from_toml
+    if path.suffix.lower() != ".toml":
+        sections, read = sections.get("cameras"), _from_json
+        if not isinstance(sections, dict):
+            raise InputError(f'{path}: has no "cameras"; it must be {{"cameras": {{NAME: {{"K": ...}}}}}}.')
+    sections = {name: part for name, part in sections.items() if name != "metadata"}
     if not sections:
         raise InputError(f"{path}: names no camera; give a calibration of Pose2Sim or a cameras.json.")
     return tuple(read(name, part, f"{path}: camera {name}") for name, part in sections.items())
@@ -193,21 +191,6 @@ def _from_json(name: str, part: Any, where: str) -> CalibratedCamera:
         first,
         fisheye,
     )
-
-
-def _json_cameras(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _FILE_LIMIT:
-            raise InputError(f"{path}: is too large for a calibration.")
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: can't be read ({error.strerror}); check the path.") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is not valid JSON; export it again.") from None
-    cameras = content.get("cameras") if isinstance(content, dict) else None
-    if not isinstance(cameras, dict):
-        raise InputError(f'{path}: has no "cameras"; it must be {{"cameras": {{NAME: {{"K": ...}}}}}}.')
-    return cameras
 
 
 def _table(part: Any, where: str) -> dict[str, Any]:

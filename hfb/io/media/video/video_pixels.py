@@ -68,11 +68,8 @@ def _gray_levels(pixels: Shaped[Array, "h w 3"], bits: int, limited: bool) -> Sh
     """Scale gray levels by their range: swscale takes all as of full range, and fills deep ones up with zeros."""
     most = np.iinfo(pixels.dtype).max
     low, high = (16 / 256 * 2**bits, 235 / 256 * 2**bits) if limited else (0, 2**bits - 1)
-    stored = pixels >> (16 - bits) if pixels.dtype == np.uint16 else pixels
-    if (low, high) == (0, most):
-        return pixels
     table = (np.arange(2**bits) - low) * (most / (high - low))
-    return table.round().clip(0, most).astype(pixels.dtype)[stored]
+    return table.round().clip(0, most).astype(pixels.dtype)[pixels >> (8 * pixels.itemsize - bits)]
 
 
 def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
