@@ -40,12 +40,15 @@ def read_rows(path: Path) -> list[TrackRow]:
     try:
         if path.stat().st_size > _BYTE_LIMIT:
             raise InputError(f"{path}: is too large for a file of tracks.")
-        return _rows_of_npz(path) if path.suffix.lower() == ".npz" else _rows_of_csv(path)
+        rows = _rows_of_npz(path) if path.suffix.lower() == ".npz" else _rows_of_csv(path)
+        if rows and all(box.max() <= 1.5 for *_, box in rows):  # no person is so small
+            raise ValueError("its boxes are shares of the picture and no pixels")
+        return rows
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check person.track.") from None
     except (OSError, ValueError, KeyError, IndexError, OverflowError, csv.Error) as error:
         raise InputError(
-            f"{path}: is no file of tracks ({str(error)[:120]}); give columns frame, id, left, top, width, height."
+            f"{path}: is no file of tracks ({str(error)[:120]}); give columns frame, id, left, top, width, height [px]."
         ) from None
 
 
@@ -60,8 +63,8 @@ def _rows_of_npz(path: Path) -> list[TrackRow]:
 
 def _rows_of_csv(path: Path) -> list[TrackRow]:
     """Read columns by their names, or MOTChallenge's without a head. Raises csv.Error, ValueError or IndexError."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        return _rows(line for line in csv.reader(file) if line)
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    return _rows(line for line in csv.reader(lines, delimiter=max(",;\t ", key=lines[0].count)) if line)
 
 
 def _rows(lines: Iterator[list[str]]) -> list[TrackRow]:

@@ -22,17 +22,14 @@ _NAMES = (
 )
 """Names of secret values: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
 
-_WEBHOOKS = (
-    r"(?i)(hooks\.slack\.com/\w+/|discord(?:app)?\.com/api/webhooks/|api\.telegram\.org/bot|"
-    r"\.webhook\.office\.com/webhookb2/)(?!\*\*\*)[^\s'\"?#<>]+"
-)
-"""Addresses whose path alone lets anybody post."""
-
 _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@"), rf"\1:{HIDDEN}@"),
     (re.compile(r"(\b[a-zA-Z][\w+.-]*://)(?!\*\*\*)[^\s/:@'\"?#]+@"), rf"\1{HIDDEN}@"),
     (re.compile(r"(?i)(\b[a-z][\w+.-]*%3A%2F%2F)(?:(?!%2F|%26)[^\s'\"&])+?%40"), rf"\1{HIDDEN}%40"),
-    (re.compile(_WEBHOOKS), rf"\1{HIDDEN}"),
+    (  # webhooks, whose path alone lets anybody post
+        re.compile(r"(?i)((?:hooks\.slack|discord|discordapp|telegram|webhook\.office)\.(?:com|org)/)[^\s'\"?#<>*]+"),
+        rf"\1{HIDDEN}",
+    ),
     (
         re.compile(
             r"(?i)\b((?:proxy-)?authorization\\?[\"']?\s*(?:[:=]|%3A|%3D)\s*\\?[\"']?"

@@ -287,6 +287,11 @@ def test_a_matte_keeps_one_person() -> None:
     [
         ("a.csv", "frame,id,left,top,width,height\n0,3,10,20,30,40\n2,3,12,20,30,40\n2,7,50,20,30,40\n"),
         ("b.csv", "Frame, track_id, x1, y1, x2, y2\n0,3.0,10,20,40,60\n2,3,12,20,42,60\n2,7,50,20,80,60\n"),
+        ("d.csv", "frame;id;left;top;width;height\n0;3;10;20;30;40\n2;3;12;20;30;40\n2;7;50;20;30;40\n"),
+        (
+            "e.txt",
+            "frame\tid\tleft\ttop\twidth\theight\n0\t3\t10\t20\t30\t40\n2\t3\t12\t20\t30\t40\n2\t7\t5\t2\t3\t4\n",
+        ),
         ("mot.txt", "1,3,10,20,30,40,1,-1,-1,-1\n3,3,12,20,30,40,1,-1,-1,-1\n3,7,50,20,30,40,1,-1,-1,-1\n"),
     ],
 )
@@ -311,7 +316,16 @@ def test_tracks_as_arrays(tmp_path: Path) -> None:
     assert np.allclose(track.boxes[1:], box)
 
 
-@pytest.mark.parametrize("content", ["", "frame,id\n0,1\n", "frame,id,left,top,width,height\n0,1,a,b,c,d\n", "1,2\n"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "frame,id\n0,1\n",
+        "frame,id,left,top,width,height\n0,1,a,b,c,d\n",
+        "frame,id,left,top,width,height\n0,1,.2,.1,.3,.6\n",  # shares of the picture
+        "1,2\n",
+    ],
+)
 def test_what_is_no_file_of_tracks(tmp_path: Path, content: str) -> None:
     (tmp_path / "t.csv").write_text(content)
     with pytest.raises(InputError, match="is no file of tracks"):

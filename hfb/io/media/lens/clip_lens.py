@@ -87,10 +87,8 @@ def check_pinhole(K: tuple[tuple[float, float, float], ...], height: int, width:
     x, y = 2 * cx / width, 2 * cy / height
     if x <= 0 or abs(x - y) > _SAME_POINT * x or abs(x - 1) < _OFF_CENTRE:  # parts of a picture have it anywhere
         return ()
-    return (
-        f"K seems to be of another size: its principal point ({cx:g}, {cy:g}) is the middle of {2 * cx:.0f} x "
-        f"{2 * cy:.0f} pixels and the pictures have {width} x {height}; scale K with them",
-    )
+    middle = f"its principal point is the middle of {2 * cx:.0f} x {2 * cy:.0f} pixels"
+    return (f"K seems to be of another size: {middle}, the pictures have {width} x {height}; scale K with them",)
 
 
 def _chosen(path: Path, name: str | None, video: str) -> tuple[str, dict[str, Any]]:
