@@ -107,7 +107,7 @@ def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
     """
     sections, read = read_document(path), _from_toml
     if path.suffix.lower() != ".toml":
-        sections, read = sections.get("cameras"), _from_json
+        sections, read = sections.get("cameras", {}), _from_json
         if not isinstance(sections, dict):
             raise InputError(f'{path}: has no "cameras"; it must be {{"cameras": {{NAME: {{"K": ...}}}}}}.')
     sections = {name: part for name, part in sections.items() if name != "metadata"}
