@@ -4,7 +4,7 @@ from pathlib import Path
 
 from hfb.config import InitConfig
 from hfb.initialization.fronts import front_doubts
-from hfb.initialization.initializer import make_initializer
+from hfb.initialization.initializer import Initializer, make_initializer
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
@@ -37,10 +37,31 @@ def first_body(
     Raises:
         InputError: no person was found.
     """
+    initializer = make_initializer(with_pose_network(config, networks))
+    return write_first_body(initializer, clip=clip, index=index, mattes=mattes, body=body, folder=folder)
+
+
+def write_first_body(
+    initializer: Initializer,
+    *,
+    clip: ClipHandle,
+    index: int,
+    mattes: tuple[FileHandle, ...],
+    body: FileHandle | None,
+    folder: Path,
+) -> FirstBodyHandle:
+    """Estimate the body of one frame by any method.
+
+    Args:
+        initializer: the method.
+        clip: all frames.
+        index: of the frame.
+        mattes: of all frames.
+        body: the user's body model; None for the embedded one.
+        folder: where the body goes.
+    """
     seen, model = load_observation(clip.only(index), (mattes[index],)), load_chosen_body(body)
-    found = make_initializer(with_pose_network(config, networks))(
-        seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model
-    )
+    found = initializer(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
     doubt = float(front_doubts(seen, [found], model)[0]) if len(clip.frames) > 1 else 0.0
     path = folder / f"first_body_{index}.npz"
     save_first_body(path, found)

@@ -1,6 +1,7 @@
 """The fit: from a static body per frame to the motion during each exposure."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from hfb.config import FitConfig
@@ -11,8 +12,10 @@ from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import write_matte, write_png
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
+from hfb.objective.own_term import OwnTerm
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_prior import load_motion_prior
+from hfb.priors.pose import PosePrior
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
 from hfb.tasks.task import task
@@ -43,6 +46,46 @@ def fit_motion(
         seed: of the random numbers.
         folder: where the files go.
     """
+    return write_fit(
+        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
+        clip=clip,
+        mattes=mattes,
+        first_bodies=first_bodies,
+        body=body,
+        motion_prior=priors.motion,
+        config=config,
+        seed=seed,
+        folder=folder,
+    )
+
+
+def write_fit(
+    pose_prior: PosePrior,
+    *,
+    clip: ClipHandle,
+    mattes: tuple[FileHandle, ...],
+    first_bodies: tuple[FirstBodyHandle, ...],
+    body: FileHandle | None,
+    motion_prior: FileHandle | None,
+    config: FitConfig,
+    seed: int,
+    folder: Path,
+    own_terms: Sequence[OwnTerm] = (),
+) -> FitHandle:
+    """Minimise eq. (11) with any pose prior and further terms.
+
+    Args:
+        pose_prior: L_P.
+        clip: all frames.
+        mattes: of all frames.
+        first_bodies: of all frames.
+        body: the user's body model; None for the embedded one.
+        motion_prior: the user's; None for the built-in one.
+        config: options of the fit.
+        seed: of the random numbers.
+        folder: where the files go.
+        own_terms: of the caller's own.
+    """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
     firsts = [load_first_body(first.path) for first in first_bodies]
     result = fit(
@@ -51,10 +94,11 @@ def fit_motion(
         model,
         config,
         seed,
-        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
+        pose_prior,
         on_progress=progress.advance,
-        motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
+        motion_prior=load_motion_prior(motion_prior.path if motion_prior else None),
         other_front=find_other_front(observation, firsts, model, enabled=config.both_fronts),
+        own_terms=own_terms,
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
     save_motion(paths[0], result.motion, model.betas_space)

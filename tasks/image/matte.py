@@ -4,6 +4,7 @@ from pathlib import Path
 
 from hfb.config import MattingConfig
 from hfb.io.media.images.image_io import write_matte
+from hfb.matting.matting_protocol import Matting
 from hfb.networks.mediapipe_files import LandmarkChoice
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import load_image
@@ -36,8 +37,19 @@ def matte(
     Raises:
         InputError: nothing differs from the background, or this machine has other pose networks.
     """
+    return write_alpha(person_matting(config, network, landmarks, pose_networks), clip, index, folder)
+
+
+def write_alpha(matting: Matting, clip: ClipHandle, index: int, folder: Path) -> FileHandle:
+    """Estimate the matte of one frame by any method.
+
+    Args:
+        matting: the method.
+        clip: all frames.
+        index: of the frame.
+        folder: where the matte goes.
+    """
     frame, plate = load_image(clip.frames[index], clip), load_image(clip.background, clip)
-    alpha = person_matting(config, network, landmarks, pose_networks)(frame.numpy(), plate.numpy())
     path = folder / f"matte_{index}.png"
-    write_matte(path, alpha)
+    write_matte(path, matting(frame.numpy(), plate.numpy()))
     return FileHandle.of(path)
