@@ -7,71 +7,50 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hfb.api.fit_images import first_body, fit, matte
-    from hfb.api.result import Result, load_result
-    from hfb.api.seeing import compose, evaluate, load_body, render
-    from hfb.body.model import Body
-    from hfb.errors import InputError
-    from hfb.fitting.alternatives import Alternatives
-    from hfb.geometry.camera import PinholeCamera
-    from hfb.initialization.initializer import Initializer
-    from hfb.matting.matting_protocol import Matting
-    from hfb.motion.static_pose import FirstBody
-    from hfb.objective.own_term import TermInputs
-    from hfb.priors.pose import PosePrior
+    from hfb.api.fit_images import first_body as first_body
+    from hfb.api.fit_images import fit as fit
+    from hfb.api.fit_images import matte as matte
+    from hfb.api.result import Result as Result
+    from hfb.api.result import load_result as load_result
+    from hfb.api.seeing import compose as compose
+    from hfb.api.seeing import evaluate as evaluate
+    from hfb.api.seeing import load_body as load_body
+    from hfb.api.seeing import render as render
+    from hfb.body.model import Body as Body
+    from hfb.errors import InputError as InputError
+    from hfb.fitting.alternatives import Alternatives as Alternatives
+    from hfb.geometry.camera import PinholeCamera as PinholeCamera
+    from hfb.initialization.initializer import Initializer as Initializer
+    from hfb.matting.matting_protocol import Matting as Matting
+    from hfb.motion.static_pose import FirstBody as FirstBody
+    from hfb.objective.own_term import TermInputs as TermInputs
+    from hfb.priors.pose import PosePrior as PosePrior
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Alternatives",
-    "Body",
-    "FirstBody",
-    "Initializer",
-    "InputError",
-    "Matting",
-    "PinholeCamera",
-    "PosePrior",
-    "Result",
-    "TermInputs",
-    "__version__",
-    "compose",
-    "evaluate",
-    "first_body",
-    "fit",
-    "load_body",
-    "load_result",
-    "matte",
-    "render",
-]
-
 _HOMES = {
-    "Alternatives": "hfb.fitting.alternatives",
-    "Body": "hfb.body.model",
-    "FirstBody": "hfb.motion.static_pose",
-    "Initializer": "hfb.initialization.initializer",
-    "InputError": "hfb.errors",
-    "Matting": "hfb.matting.matting_protocol",
-    "PinholeCamera": "hfb.geometry.camera",
-    "PosePrior": "hfb.priors.pose",
-    "Result": "hfb.api.result",
-    "TermInputs": "hfb.objective.own_term",
-    "compose": "hfb.api.seeing",
-    "evaluate": "hfb.api.seeing",
-    "first_body": "hfb.api.fit_images",
-    "fit": "hfb.api.fit_images",
-    "load_body": "hfb.api.seeing",
-    "load_result": "hfb.api.result",
-    "matte": "hfb.api.fit_images",
-    "render": "hfb.api.seeing",
+    "api.fit_images": ("first_body", "fit", "matte"),
+    "api.result": ("Result", "load_result"),
+    "api.seeing": ("compose", "evaluate", "load_body", "render"),
+    "body.model": ("Body",),
+    "errors": ("InputError",),
+    "fitting.alternatives": ("Alternatives",),
+    "geometry.camera": ("PinholeCamera",),
+    "initialization.initializer": ("Initializer",),
+    "matting.matting_protocol": ("Matting",),
+    "motion.static_pose": ("FirstBody",),
+    "objective.own_term": ("TermInputs",),
+    "priors.pose": ("PosePrior",),
 }
+__all__ = ["__version__", *(name for names in _HOMES.values() for name in names)]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name (PEP 562)."""
-    if name not in _HOMES:
+    home = next((module for module, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module 'hfb' has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = value
+    globals()[name] = value = getattr(import_module(f"hfb.{home}"), name)
     return value
 
 

@@ -64,7 +64,7 @@ def _full_name(name: str) -> str:
     if found[:1] == ["fit"] or len(found) == 1:
         return f"{found[0]}.{name}"
     if found:
-        raise InputError(f"the option {name} is one of {' and of '.join(found)}: say which, such as {found[0]}=...")
+        raise InputError(f"the option {name} is one of {' and '.join(found)}: say which, such as {found[0]}=...")
     known = [*own, *_SHORT, *(entry for names in _entries().values() for entry in names)]
     close = difflib.get_close_matches(name, known, n=2)
     raise InputError(f"unknown option {name}" + (f"; did you mean {' or '.join(close)}?" if close else ""))

@@ -14,6 +14,7 @@ from PIL import ImageOps
 from hfb.errors import InputError
 from hfb.io.media.images.image_io import write_png
 from hfb.photometry import linear_to_srgb
+from hfb.tasks.core.handles import StaleFile
 from hfb.typing import Array, Tensor
 
 Image: TypeAlias = str | os.PathLike[str] | Pillow.Image | Array | Tensor
@@ -34,7 +35,7 @@ def image_files(frames: Image | Sequence[Image], background: Image, folder: Path
         InputError: an image is of another type, shape or range.
     """
     if isinstance(frames, str | os.PathLike | Pillow.Image) or getattr(frames, "ndim", 0) == 3:
-        frames = [frames]  # type: ignore[list-item]  # an array of three dimensions is one image
+        frames = [frames]  # an array of three dimensions is one image
     several = list(frames)  # type: ignore[arg-type]
     if not several:
         raise InputError("there are no frames: give at least one")
@@ -80,7 +81,7 @@ def errors_of_calls(folder: Path | None = None) -> Iterator[None]:
         folder: where images without a file were written.
 
     Raises:
-        InputError: as raised inside, in other words; for a loss that is not finite, too.
+        InputError: as raised inside, in other words; for a loss that is not finite and a changed file, too.
     """
     try:
         yield
@@ -88,7 +89,7 @@ def errors_of_calls(folder: Path | None = None) -> Iterator[None]:
         said = str(error) if folder is None else str(error).replace(f"{folder}{os.sep}", "").replace(str(folder), "")
         said = said.replace("--out", "folder")
         raise type(error)(re.sub(r"--([a-z][a-z0-9.-]*)", lambda flag: flag[1].replace("-", "_"), said)) from error
+    except StaleFile as error:
+        raise InputError(f"{error}: an image was changed or removed meanwhile; fit again") from error
     except FloatingPointError as error:
-        raise InputError(
-            f"{error}: check extra terms and priors of your own, or take smaller learning rates"
-        ) from error
+        raise InputError(f"{error}: check terms and priors of your own, or take smaller learning rates") from error

@@ -9,9 +9,10 @@ import torch
 from hfb.body.model import Body
 from hfb.config import Weights
 from hfb.errors import InputError
+from hfb.fitting.direction_odds import EVIDENCE
 from hfb.geometry.camera import PinholeCamera
-from hfb.initialization.initializer import Initializer
-from hfb.matting.matting_protocol import Matting
+from hfb.initialization.initializer import Initializer, Matte
+from hfb.matting.matting_protocol import Matting, Picture, Plate
 from hfb.motion.static_pose import FirstBody
 from hfb.objective.own_term import OwnTerm, TermInputs
 from hfb.priors.pose import PosePrior
@@ -46,8 +47,8 @@ def own_parts(
 
 def _own_term(name: str, given: TermFunction | tuple[TermFunction, float]) -> OwnTerm:
     function, weight = given if isinstance(given, tuple) else (given, 1.0)
-    if name in Weights.model_fields or name in ("total", "loss"):
-        raise InputError(f"the extra term {name!r} has the name of a term of eq. (11): choose another name")
+    if name in {*Weights.model_fields, *EVIDENCE, "total", "loss"} or not name.isidentifier():
+        raise InputError(f"the extra term {name!r} has the name of a term of hfb, or none that Python takes: change it")
     if not callable(function) or not np.isfinite(weight) or weight < 0:
         raise InputError(f"the extra term {name!r} is {given!r}: give a function, or a function and a weight >= 0")
     return OwnTerm(name, function, float(weight))
@@ -59,7 +60,7 @@ class _CheckedMatting:
     def __init__(self, matting: Matting) -> None:
         self._matting = matting
 
-    def __call__(self, frame_linear: Array, plate_linear: Array) -> Float[Array, "H W"]:
+    def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """See `Matting`."""
         alpha = np.asarray(self._matting(frame_linear, plate_linear), np.float32)
         if alpha.shape != frame_linear.shape[:2]:
@@ -76,7 +77,7 @@ class _CheckedInitializer:
         self._initializer = initializer
 
     def __call__(
-        self, frame_linear: Tensor, plate_linear: Tensor, matte: Tensor, camera: PinholeCamera, body: Body
+        self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
     ) -> FirstBody:
         """See `Initializer`."""
         found = self._initializer(frame_linear, plate_linear, matte, camera, body)

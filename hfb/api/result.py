@@ -221,7 +221,7 @@ class Result:
         with errors_of_calls(), beside_result(target, [FILE_NAMES[form] for form in known]) as made:
             for form in known:
                 write_motion_file(made, form, exported)
-        return [target / FILE_NAMES[form] for form in formats]
+        return [target / FILE_NAMES[form] for form in known]
 
     def show(self) -> Viewer:
         """Return the motion and its alternatives in the 3D viewer, which a notebook displays."""

@@ -17,15 +17,14 @@ from hfb.interop.writers.export_names import CURVES
 from hfb.matting.exposure_match import describe_gains
 from hfb.matting.matting_protocol import Matting
 from hfb.objective.own_term import OwnTerm
-from hfb.priors.load import load_pose_prior
 from hfb.priors.pose import PosePrior
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from hfb.tasks.image.evaluate import evaluate
-from hfb.tasks.image.first_body import first_body, given_body, write_first_body
-from hfb.tasks.image.fit_motion import fit_motion, write_fit
+from hfb.tasks.image.first_body import first_body, given_body
+from hfb.tasks.image.fit_motion import fit_motion
 from hfb.tasks.image.fit_strip import strip
-from hfb.tasks.image.matte import matte, write_alpha
+from hfb.tasks.image.matte import matte
 from hfb.tasks.image.prepare import prepare
 from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes
@@ -46,6 +45,11 @@ class OwnParts:
     pose_prior: PosePrior | None = None
     terms: tuple[OwnTerm, ...] = ()
 
+    def names(self) -> list[str]:
+        """Return which parts are the caller's, for the result's record: options do not say so."""
+        parts = {"matting": self.matting, "init": self.initializer, "prior": self.pose_prior}
+        return [name for name, part in parts.items() if part] + [f"{one.name} x {one.weight:g}" for one in self.terms]
+
 
 @dataclass(frozen=True)
 class ImageFit:
@@ -61,6 +65,7 @@ class ImageFit:
         warnings: signs that it is wrong.
         strip: the image strip.
         curves: losses per iteration.
+        own: parts of the caller's own.
     """
 
     inputs: Inputs
@@ -72,6 +77,7 @@ class ImageFit:
     warnings: tuple[ResultWarning, ...]
     strip: FileHandle
     curves: FileHandle
+    own: OwnParts
 
     @property
     def shot(self) -> ShotHandle:
@@ -126,11 +132,12 @@ class ImageFit:
             "mlflow_run_id": None,
             "mlflow_link": None,
             "first_bodies": sources,
-            "pose_networks": [file.path.name for file in self.inputs.networks],
+            "pose_networks": [] if self.own.initializer else [file.path.name for file in self.inputs.networks],
             "exposure_gain": [list(frame.gain) for frame in self.scene.frames],
             "inputs": input_hashes(self.inputs),
             "config": self.config.model_dump(mode="json"),
             "code": code_version(),
+            **({"own_parts": self.own.names()} if self.own != OwnParts() else {}),
         }
 
 
@@ -159,10 +166,7 @@ def see_images(
         progress.say(f"hfb: {remark}")
     if exposures := describe_gains([frame.gain for frame in scene.frames]):
         progress.say(f"hfb: {exposures}")
-    numbers = range(len(scene.frames))
-    if own.matting is not None:
-        return scene, tuple(write_alpha(own.matting, scene, index, folder) for index in numbers)
-    return scene, tuple(
+    mattes = tuple(
         matte(
             clip=scene,
             index=index,
@@ -171,9 +175,11 @@ def see_images(
             pose_networks=shade_networks(config.init, inputs.networks),
             folder=folder,
             network=inputs.matting,
+            own=own.matting,
         )
-        for index in numbers
+        for index in range(len(scene.frames))
     )
+    return scene, mattes
 
 
 def fit_images(inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts = OwnParts()) -> ImageFit:
@@ -191,7 +197,18 @@ def fit_images(inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts = 
     scene, mattes = see_images(inputs, config, folder, own)
     firsts = find_first_bodies(scene, mattes, inputs=inputs, config=config, folder=folder, own=own)
     numbers, body = tuple(range(len(scene.frames))), inputs.body
-    fitted = _fit(scene, mattes, firsts, inputs=inputs, config=config, folder=folder, own=own)
+    fitted = fit_motion(
+        clip=scene,
+        mattes=mattes,
+        first_bodies=firsts,
+        body=body,
+        priors=PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior),
+        config=config.fit,
+        seed=config.seed,
+        folder=folder,
+        own_prior=own.pose_prior,
+        own_terms=own.terms,
+    )
     scores = evaluate(
         clip=scene,
         mattes=mattes,
@@ -221,42 +238,7 @@ def fit_images(inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts = 
         warnings=(*plate_warnings(scene.remarks), *found),
         strip=strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder),
         curves=fit_curves(fitted, folder),
-    )
-
-
-def _fit(
-    scene: ClipHandle,
-    mattes: tuple[FileHandle, ...],
-    firsts: tuple[FirstBodyHandle, ...],
-    *,
-    inputs: Inputs,
-    config: RunConfig,
-    folder: Path,
-    own: OwnParts,
-) -> FitHandle:
-    priors = PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior)
-    if own.pose_prior is None and not own.terms:
-        return fit_motion(
-            clip=scene,
-            mattes=mattes,
-            first_bodies=firsts,
-            body=inputs.body,
-            priors=priors,
-            config=config.fit,
-            seed=config.seed,
-            folder=folder,
-        )
-    return write_fit(
-        own.pose_prior or load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
-        clip=scene,
-        mattes=mattes,
-        first_bodies=firsts,
-        body=inputs.body,
-        motion_prior=priors.motion,
-        config=config.fit,
-        seed=config.seed,
-        folder=folder,
-        own_terms=own.terms,
+        own=own,
     )
 
 
@@ -288,9 +270,7 @@ def find_first_bodies(
     if own.initializer is not None or not inputs.init_files:
         tell_networks(inputs.networks if own.initializer is None else ())
         firsts = tuple(
-            write_first_body(own.initializer, clip=scene, index=index, mattes=mattes, body=inputs.body, folder=folder)
-            if own.initializer is not None
-            else first_body(
+            first_body(
                 clip=scene,
                 index=index,
                 mattes=mattes,
@@ -298,6 +278,7 @@ def find_first_bodies(
                 config=config.init,
                 networks=inputs.networks,
                 folder=folder,
+                own=own.initializer,
             )
             for index in numbers
         )

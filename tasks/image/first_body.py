@@ -22,6 +22,7 @@ def first_body(
     config: InitConfig,
     networks: tuple[FileHandle, ...],
     folder: Path,
+    own: Initializer | None = None,
 ) -> FirstBodyHandle:
     """Estimate the body of one frame; of several frames, also the certainty of its front, which must be consistent.
 
@@ -33,34 +34,13 @@ def first_body(
         config: options of the first body.
         networks: the installed pose networks, or the user's own; others give a new estimate.
         folder: where the body goes.
+        own: a caller's method in place of the options', as of `hfb.tasks.image.matte`.
 
     Raises:
         InputError: no person was found.
     """
-    initializer = make_initializer(with_pose_network(config, networks))
-    return write_first_body(initializer, clip=clip, index=index, mattes=mattes, body=body, folder=folder)
-
-
-def write_first_body(
-    initializer: Initializer,
-    *,
-    clip: ClipHandle,
-    index: int,
-    mattes: tuple[FileHandle, ...],
-    body: FileHandle | None,
-    folder: Path,
-) -> FirstBodyHandle:
-    """Estimate the body of one frame by any method.
-
-    Args:
-        initializer: the method.
-        clip: all frames.
-        index: of the frame.
-        mattes: of all frames.
-        body: the user's body model; None for the embedded one.
-        folder: where the body goes.
-    """
     seen, model = load_observation(clip.only(index), (mattes[index],)), load_chosen_body(body)
+    initializer = own or make_initializer(with_pose_network(config, networks))
     found = initializer(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
     doubt = float(front_doubts(seen, [found], model)[0]) if len(clip.frames) > 1 else 0.0
     path = folder / f"first_body_{index}.npz"

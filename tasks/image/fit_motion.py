@@ -1,7 +1,6 @@
 """The fit: from a static body per frame to the motion during each exposure."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 from hfb.config import FitConfig
@@ -33,6 +32,8 @@ def fit_motion(
     config: FitConfig,
     seed: int,
     folder: Path,
+    own_prior: PosePrior | None = None,
+    own_terms: tuple[OwnTerm, ...] = (),
 ) -> FitHandle:
     """Minimise eq. (11); leaves the motion, the texture, the mattes it used last and every term's history.
 
@@ -45,46 +46,8 @@ def fit_motion(
         config: options of the fit.
         seed: of the random numbers.
         folder: where the files go.
-    """
-    return write_fit(
-        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
-        clip=clip,
-        mattes=mattes,
-        first_bodies=first_bodies,
-        body=body,
-        motion_prior=priors.motion,
-        config=config,
-        seed=seed,
-        folder=folder,
-    )
-
-
-def write_fit(
-    pose_prior: PosePrior,
-    *,
-    clip: ClipHandle,
-    mattes: tuple[FileHandle, ...],
-    first_bodies: tuple[FirstBodyHandle, ...],
-    body: FileHandle | None,
-    motion_prior: FileHandle | None,
-    config: FitConfig,
-    seed: int,
-    folder: Path,
-    own_terms: Sequence[OwnTerm] = (),
-) -> FitHandle:
-    """Minimise eq. (11) with any pose prior and further terms.
-
-    Args:
-        pose_prior: L_P.
-        clip: all frames.
-        mattes: of all frames.
-        first_bodies: of all frames.
-        body: the user's body model; None for the embedded one.
-        motion_prior: the user's; None for the built-in one.
-        config: options of the fit.
-        seed: of the random numbers.
-        folder: where the files go.
-        own_terms: of the caller's own.
+        own_prior: a caller's pose prior in place of the options', as of `hfb.tasks.image.matte`.
+        own_terms: a caller's further terms.
     """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
     firsts = [load_first_body(first.path) for first in first_bodies]
@@ -94,9 +57,9 @@ def write_fit(
         model,
         config,
         seed,
-        pose_prior,
+        own_prior or load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
         on_progress=progress.advance,
-        motion_prior=load_motion_prior(motion_prior.path if motion_prior else None),
+        motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
         other_front=find_other_front(observation, firsts, model, enabled=config.both_fronts),
         own_terms=own_terms,
     )

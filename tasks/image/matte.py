@@ -22,6 +22,7 @@ def matte(
     pose_networks: tuple[FileHandle, ...],
     folder: Path,
     network: FileHandle | None = None,
+    own: Matting | None = None,
 ) -> FileHandle:
     """Estimate the matte of one frame, as a 16-bit image.
 
@@ -33,23 +34,13 @@ def matte(
         pose_networks: those that tell the person from shade on the floor, by `shade_networks`.
         folder: where the matte goes.
         network: the user's own, for methods that need one.
+        own: a caller's method in place of the options'; only without Prefect, since a function has no digest.
 
     Raises:
         InputError: nothing differs from the background, or this machine has other pose networks.
     """
-    return write_alpha(person_matting(config, network, landmarks, pose_networks), clip, index, folder)
-
-
-def write_alpha(matting: Matting, clip: ClipHandle, index: int, folder: Path) -> FileHandle:
-    """Estimate the matte of one frame by any method.
-
-    Args:
-        matting: the method.
-        clip: all frames.
-        index: of the frame.
-        folder: where the matte goes.
-    """
     frame, plate = load_image(clip.frames[index], clip), load_image(clip.background, clip)
+    matting = own or person_matting(config, network, landmarks, pose_networks)
     path = folder / f"matte_{index}.png"
     write_matte(path, matting(frame.numpy(), plate.numpy()))
     return FileHandle.of(path)

@@ -1,5 +1,7 @@
 """A caller's own matte, start, prior and loss terms change the fit, and are checked."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,8 +31,8 @@ def plain(problem: Problem) -> hfb.Result:
     return run(problem)
 
 
-def test_a_term_pulls(problem: Problem, plain: hfb.Result) -> None:
-    """The further the weight, the nearer the left wrist is to where the term wants it; history and figures name it."""
+def test_a_term_pulls(problem: Problem, plain: hfb.Result, tmp_path: Path) -> None:
+    """The larger the weight, the nearer the left wrist is to where the term wants it; history and figures name it."""
     aim = torch.tensor([0.0, -0.5, 4.0])
 
     def wrist_at_aim(seen: hfb.TermInputs) -> torch.Tensor:
@@ -42,6 +44,10 @@ def test_a_term_pulls(problem: Problem, plain: hfb.Result) -> None:
     zero, light, heavy = (run(problem, extra_terms={"wrist": (wrist_at_aim, weight)}) for weight in (0.0, 10.0, 1000.0))
     assert np.array_equal(zero.joints, plain.joints)
     assert distance(heavy) < distance(light) < distance(plain) - 1e-4
+    folder = heavy.save(tmp_path / "saved")
+    assert "wrist" in json.loads((folder / "curves.json").read_text())["losses"]
+    assert hfb.load_result(folder).facts["own_parts"] == ["init", "wrist x 1000"]
+    assert hfb.load_result(folder).report().is_file()
 
 
 def test_a_term_gets_the_variables(problem: Problem) -> None:
@@ -101,7 +107,7 @@ def plain_matte(problem: Problem) -> np.ndarray:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"extra_terms": {"image": lambda seen: seen.betas.sum()}}, "has the name of a term of eq"),
+        ({"extra_terms": {"image": lambda seen: seen.betas.sum()}}, "has the name of a term of hfb"),
         ({"extra_terms": {"mine": (lambda seen: seen.betas.sum(), -1.0)}}, "a weight >= 0"),
         ({"extra_terms": {"mine": lambda seen: seen.betas}}, r"returned a tensor of shape \(10,\): return a scalar"),
         ({"extra_terms": {"mine": lambda seen: 1.0}}, "returned float: return a scalar tensor"),

@@ -77,7 +77,7 @@ def test_rendered_and_composed(fitted: hfb.Result, problem: Problem) -> None:
 
 
 def test_compared_with_the_truth(fitted: hfb.Result, tmp_path: Path) -> None:
-    assert hfb.evaluate(fitted, fitted)["mpjpe_mm"] == 0
+    assert hfb.evaluate(fitted, fitted)["mpjpe_mm"] == pytest.approx(0, abs=1e-6)
     moved = fitted.joints + 0.1 * np.eye(24, 3)
     assert hfb.evaluate(fitted, moved)["mpjpe_mm"] > 1
     folder = fitted.save(tmp_path / "saved")
