@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 from PIL import Image as Pillow
@@ -34,9 +34,8 @@ def image_files(frames: Image | Sequence[Image], background: Image, folder: Path
     Raises:
         InputError: an image is of another type, shape or range.
     """
-    if isinstance(frames, str | os.PathLike | Pillow.Image) or getattr(frames, "ndim", 0) == 3:
-        frames = [frames]  # an array of three dimensions is one image
-    several = list(frames)  # type: ignore[arg-type]
+    alone = isinstance(frames, str | os.PathLike | Pillow.Image) or getattr(frames, "ndim", 0) == 3
+    several: list[object] = [frames] if alone else list(cast(Sequence[Image], frames))
     if not several:
         raise InputError("there are no frames: give at least one")
     return [_file(one, f"frame_{n}", folder) for n, one in enumerate(several)], _file(background, "background", folder)

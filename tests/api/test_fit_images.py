@@ -72,6 +72,16 @@ def test_steps_by_themselves(problem: Problem, fitted: hfb.Result) -> None:
     assert np.abs(first.translation.numpy() - fitted.trans.mean(0)).max() < 1
 
 
+def test_a_start_from_a_file(problem: Problem, fitted: hfb.Result, tmp_path: Path) -> None:
+    """Another system's result, or hfb's own, as `--init FILE` takes it."""
+    file = fitted.save(tmp_path / "saved") / "motion.npz"
+    result = hfb.fit(problem.frame, problem.background, **TINY | {"init": file, "directions": {"search": False}})
+    assert result.facts["config"]["init"]["method"] == "file"
+    assert np.abs(result.joints - fitted.joints).max() < 0.2
+    with pytest.raises(hfb.InputError, match=r"gone\.pkl does not exist"):
+        hfb.fit(problem.frame, problem.background, **TINY | {"init": tmp_path / "gone.pkl"})
+
+
 def test_options_by_their_names(tmp_path: Path) -> None:
     (tmp_path / "run.toml").write_text('preset = "paper"\nseed = 3\n[fit]\nsubframes = 4\n')
     chosen = config_of({"height_m": 1.8, "focal_px": 900, "fit.degree": 2, "seed": 5}, tmp_path / "run.toml")

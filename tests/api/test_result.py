@@ -10,6 +10,7 @@ import hfb
 from hfb.flows.export import export_result
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.photometry import srgb_to_linear
+from tests.browser import assert_body_moves, browser, opened
 from tests.orchestration import Problem
 
 
@@ -60,6 +61,20 @@ def test_page_and_viewer(fitted: hfb.Result, tmp_path: Path) -> None:
     folder = fitted.save(tmp_path / "saved")
     assert hfb.load_result(folder).report() == folder / "report.html"
     assert (folder / "report.html").stat().st_size > 100_000
+
+
+@pytest.mark.integration
+def test_the_viewer_moves_in_a_notebook(fitted: hfb.Result, tmp_path: Path) -> None:
+    """As Jupyter shows it: a frame within another page, from which nothing is loaded."""
+    cell = tmp_path / "cell.html"
+    cell.write_text(f"<!doctype html><html><body>{fitted.show()._repr_html_()}</body></html>")
+    with browser() as chromium:
+        page = opened(chromium, cell.as_uri(), 1000)
+        page.tab.locator("iframe").wait_for()
+        assert_body_moves(page.tab.frames[1])
+        assert page.requests == []
+        assert page.errors == []
+        page.tab.screenshot(path=tmp_path / "cell.png")
 
 
 def test_rendered_and_composed(fitted: hfb.Result, problem: Problem) -> None:
