@@ -2,10 +2,10 @@
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from hfb.api.call_options import config_of
 from hfb.api.given_images import Image, errors_of_calls, image_files
@@ -23,7 +23,23 @@ from hfb.tasks.chains.image_chain import OwnParts, find_first_bodies, see_images
 from hfb.tasks.chains.image_chain import fit_images as run_chain
 from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
 from hfb.tasks.task import without_prefect
+from hfb.tasks.telemetry import progress
 from hfb.typing import Array, Float
+
+Progress: TypeAlias = Callable[[str, int, int | None], object]
+
+
+class _Told(progress.Display):
+    """Passes the progress of steps to a function of the caller's."""
+
+    def __init__(self, function: Progress) -> None:
+        self._function = function
+
+    def update(self, shown: progress.Shown) -> None:
+        """See `Display`."""
+        self._function(shown.label, shown.done, shown.total)
+
+    begin = update
 
 
 def fit(
@@ -36,6 +52,7 @@ def fit(
     extra_terms: Mapping[str, TermFunction | tuple[TermFunction, float]] | None = None,
     clip: str | Path | None = None,
     config: str | Path | None = None,
+    on_progress: Progress | None = None,
     **options: object,
 ) -> Result:
     """Recover how a person moved while the shutter was open, as the command ``hfb fit`` does, with the same numbers.
@@ -54,6 +71,7 @@ def fit(
             weight is 1 where none is given.
         clip: a clip.toml with calibration and exposure.
         config: a TOML file of options.
+        on_progress: called with a step's name, how much of it is done, and of how much (None where that is not known).
         **options: those of the command line by the same names: ``preset="paper"``, ``seed=1``, ``height_m=1.82``,
             ``subframes=4``, ``focal_px=1180``, ``fit={"weights": {"joints": 0}}``.
 
@@ -62,7 +80,8 @@ def fit(
     """
     own = own_parts(matting, init, prior, extra_terms)
     options = {**options, **_options(init=init, matting=matting, prior=prior)}
-    with _taken(frames, background, options, clip=clip, config=config, keep=True) as (inputs, chosen, folder):
+    shown = progress.showing(_Told(on_progress)) if on_progress else nullcontext()
+    with shown, _taken(frames, background, options, clip=clip, config=config, keep=True) as (inputs, chosen, folder):
         return result_of(run_chain(inputs, chosen, folder, own), folder)
 
 

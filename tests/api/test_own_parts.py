@@ -90,6 +90,13 @@ def test_an_own_matte(problem: Problem, plain: hfb.Result) -> None:
     assert not np.array_equal(result.joints, plain.joints)
 
 
+def test_progress_is_told(problem: Problem) -> None:
+    told: list[tuple[str, int, int | None]] = []
+    run(problem, on_progress=lambda *step: told.append(step))
+    assert {"pictures", "matte", "first body", "fit"} <= {label for label, _, _ in told}
+    assert [done for label, done, total in told if label == "fit" and total][-1] == 8
+
+
 def test_an_own_start(problem: Problem) -> None:
     start = load_first_body(problem.first_body)
     shifted = hfb.FirstBody(start.pose, start.translation + torch.tensor([0.3, 0.0, 0.0]), start.betas, "mine")

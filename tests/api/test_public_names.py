@@ -13,7 +13,7 @@ SIGNATURES = {
     "evaluate": "(result, truth)",
     "first_body": "(frame, background, *, init=None, matting=None, clip=None, config=None, **options)",
     "fit": "(frames, background, *, init=None, matting=None, prior=None, extra_terms=None, clip=None, config=None, "
-    "**options)",
+    "on_progress=None, **options)",
     "load_body": "(model=None)",
     "load_result": "(folder)",
     "matte": "(frame, background, *, matting=None, clip=None, config=None, **options)",
