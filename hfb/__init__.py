@@ -4,8 +4,8 @@ Importing this package is free: a name loads its module when it is first used.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # type checkers take it for true; importing typing would cost more than all the rest
 if TYPE_CHECKING:
     from hfb.api.fit_images import first_body as first_body
     from hfb.api.fit_images import fit as fit
@@ -45,13 +45,15 @@ _HOMES = {
 __all__ = ["__version__", *(name for names in _HOMES.values() for name in names)]  # noqa: PLE0604
 
 
-def __getattr__(name: str) -> Any:
-    """Load a public name (PEP 562)."""
-    home = next((module for module, names in _HOMES.items() if name in names), None)
-    if home is None:
-        raise AttributeError(f"module 'hfb' has no attribute {name!r}")
-    globals()[name] = value = getattr(import_module(f"hfb.{home}"), name)
-    return value
+if not TYPE_CHECKING:  # for which a name that does not exist would be of any type
+
+    def __getattr__(name):
+        """Load a public name (PEP 562)."""
+        home = next((module for module, names in _HOMES.items() if name in names), None)
+        if home is None:
+            raise AttributeError(f"module 'hfb' has no attribute {name!r}")
+        globals()[name] = value = getattr(import_module(f"hfb.{home}"), name)
+        return value
 
 
 def __dir__() -> list[str]:
