@@ -14,7 +14,6 @@ from hfb.errors import InfrastructureError, InputError, ServerLost, TemporaryErr
 from hfb.flows.everyone import run_clip
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.flows.runtime.workspace import workspace
 from hfb.interop.writers.export_names import RESULT
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
@@ -27,6 +26,7 @@ from hfb.tasks.core.result_folder import is_unfinished
 from hfb.tasks.inputs.clip_places import ClipPlace, find_clips
 from hfb.tasks.inputs.out_place import check_batch_out, check_not_clips
 from hfb.tasks.inputs.video_inputs import check_options, take_video_inputs
+from hfb.tasks.results.workspace import workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.displays import show_progress
 from hfb.tasks.tracking import tracking

@@ -14,7 +14,6 @@ from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.evaluation.experiments import Experiment
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import REPORT
 from hfb.io.safe_folder import check_tree
 from hfb.tasks.benchmark.benchmark_report import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
@@ -36,6 +35,7 @@ from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import input_file, networks_at_hand, pose_networks
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.map_task import Outcome, map_task
+from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.workers.engine import Engine

@@ -14,7 +14,6 @@ from markupsafe import Markup
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import MotionDifference, motion_difference
 from hfb.flows.runtime.summary import number_text
-from hfb.flows.runtime.workspace import check_writable
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
@@ -28,6 +27,7 @@ from hfb.tasks.inputs.out_place import check_no_clip
 from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from hfb.tasks.results.workspace import check_writable
 from hfb.tasks.telemetry import progress
 
 _PICTURES = ("strip.png", "sheet.png", "gallery.png")

@@ -24,13 +24,13 @@ from hfb.flows.runtime import places
 from hfb.flows.runtime.failures import explain_failures
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.flows.runtime.workspace import check_writable
 from hfb.flows.train_prior import TrainingPlan
 from hfb.io.clip import BACKGROUND_WORDS
 from hfb.io.toml_file import merged, to_record
 from hfb.tasks.batch.notifications import addresses_of, enable_notifications
 from hfb.tasks.batch.prometheus_metrics import serve_metrics
 from hfb.tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.results.workspace import check_writable
 from hfb.tasks.telemetry.displays import show_progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.store_place import check_store, tracking_uri

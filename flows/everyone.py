@@ -10,12 +10,12 @@ from typing import Any
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.flows.runtime.workspace import mark_unfinished, publish, workspace
 from hfb.flows.video import clip_place, run_video
 from hfb.io.safe_folder import check_ordinary
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.video_handles import PersonSeen
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
+from hfb.tasks.results.workspace import mark_unfinished, publish, workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.video.video_clip import find_background, find_everyone, look_at_clip
 from hfb.tasks.workers.engine import Engine

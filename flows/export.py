@@ -10,7 +10,6 @@ from typing import Any, cast
 from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
-from hfb.flows.runtime.workspace import beside_result
 from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
@@ -19,6 +18,7 @@ from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.out_place import check_no_clip
 from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
+from hfb.tasks.results.workspace import beside_result
 from hfb.tasks.telemetry import progress
 
 MESHES = "meshes"

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import InputError, TemporaryError
-from hfb.flows.runtime.workspace import workspace
 from hfb.interop.writers.export_names import RECORD, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.footage_names import natural_order
 from hfb.tasks.results.stored_runs import find_run, result_facts
+from hfb.tasks.results.workspace import workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking.run_record import RunHandle, copy_recorded_files, read_kept, write_run
 from hfb.tasks.tracking.tracking import StoreLost

@@ -9,7 +9,6 @@ from typing import Any
 
 from hfb.body.model import Body
 from hfb.errors import InputError
-from hfb.flows.runtime.workspace import INTERMEDIATE, beside_result, check_writable
 from hfb.interop.writers.export_names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
@@ -20,6 +19,7 @@ from hfb.tasks.inputs.inputs import input_file
 from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
 from hfb.tasks.results.result_report import ReportParts, shows_another_motion, write_page, write_page_film
 from hfb.tasks.results.stored_runs import StoredRun, find_run
+from hfb.tasks.results.workspace import INTERMEDIATE, beside_result, check_writable
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.store_place import check_store, tracking_uri

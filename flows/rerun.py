@@ -15,7 +15,6 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import motion_difference
 from hfb.flows.fit_image import fit_image_again
-from hfb.flows.runtime.workspace import INTERMEDIATE
 from hfb.flows.video import run_video
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
@@ -29,6 +28,7 @@ from hfb.tasks.inputs.out_place import check_clip_out, check_pictures_out
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.results.reload_inputs import locate_inputs
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from hfb.tasks.results.workspace import INTERMEDIATE
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.hidden_options import with_options

@@ -12,7 +12,6 @@ from pydantic import Field
 from hfb.config import Record
 from hfb.errors import InputError
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.flows.runtime.workspace import workspace
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.tasks.benchmark.cases import listing_of
@@ -21,6 +20,7 @@ from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.prior_training import LessonsHandle, TrainedHandle, gather, measure, record_training, train
+from hfb.tasks.results.workspace import workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.training.priors.training_spec import MotionTraining, PoseTraining

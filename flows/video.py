@@ -17,7 +17,6 @@ from hfb.flows.clip_scores import draw, score, warn
 from hfb.flows.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
 from hfb.flows.runtime.failures import ask_server, explain_failures
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
@@ -27,6 +26,7 @@ from hfb.tasks.inputs.inputs import with_height
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
 from hfb.tasks.results.exports import export_motion
 from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves, draw_page_film, write_report
+from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.tracking.video_record import ClipRecord
 from hfb.tasks.video.video_look import draw_texture
 from hfb.tasks.workers.engine import Engine
@@ -190,7 +190,7 @@ def clip_place(out: Path, engine: Engine | int) -> Iterator[Path]:
         engine: where computations run.
 
     Raises:
-        InputError: see `hfb.flows.runtime.workspace.workspace` and `hfb.tasks.workers.workers.workers`.
+        InputError: see `hfb.tasks.results.workspace.workspace` and `hfb.tasks.workers.workers.workers`.
         InfrastructureError: see `hfb.flows.runtime.failures.explain_failures`.
     """
     with explain_failures(out), workspace(out) as folder, workers(engine, apart=True), records_in(folder):

@@ -10,6 +10,8 @@ under the old one's key. Results are JSON, since a handle is a few lines. A cach
 behind a handle is intact, so every result's files are verified, and a stale result is recreated.
 
 A task that runs ``"here"`` may print and log progress. Elsewhere the function itself is sent, by its name.
+
+Inside `without_prefect` a task is its bare function: the Python library (`hfb.api`) computes the same without a server.
 """
 
 from __future__ import annotations
@@ -17,15 +19,12 @@ from __future__ import annotations
 import functools
 import inspect
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Literal, ParamSpec, TypeVar, cast
-
-import prefect
-from prefect.cache_policies import NO_CACHE
-from prefect.context import TaskRunContext
-from prefect.results import get_result_store
+from typing import TYPE_CHECKING, Any, Generic, Literal, ParamSpec, TypeVar, cast
 
 from hfb.tasks.core import repetition
 from hfb.tasks.core.environment import code_version
@@ -33,6 +32,9 @@ from hfb.tasks.core.handles import Call, StaleFile, digest, files_in, verify_unc
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.structured_log import about, ids_of
 from hfb.tasks.workers.workers import run_local, run_remote
+
+if TYPE_CHECKING:
+    from prefect.context import TaskRunContext
 
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -43,6 +45,18 @@ Where = Literal["here", "worker", "cluster", "gpu"]
 
 Without a cluster a worker of this machine runs it, without workers this process.
 """
+
+_bare: ContextVar[bool] = ContextVar("bare", default=False)
+
+
+@contextmanager
+def without_prefect() -> Iterator[None]:
+    """Run tasks inside the block as plain functions of this process: no server, nothing cached."""
+    token = _bare.set(True)
+    try:
+        yield
+    finally:
+        _bare.reset(token)
 
 
 @dataclass(frozen=True)
@@ -100,10 +114,17 @@ class Task(Generic[P, R]):
         """
         functools.update_wrapper(self, fn)
         self.fn, self.name, self.batch = fn, fn.__name__, batch
-        self._label, self._where = label, where
-        caching: dict[str, Any] = {"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}
-        run = functools.wraps(fn)(lambda *args, **kwargs: self.run(*args, **kwargs))
-        self._step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(run)
+        self._label, self._where, self._cached = label, where, cached
+
+    @functools.cached_property
+    def _step(self) -> Any:
+        """Prefect's task, which is imported at the first call that needs it."""
+        import prefect
+        from prefect.cache_policies import NO_CACHE
+
+        caching: dict[str, Any] = {"cache_key_fn": _cache_key} if self._cached else {"cache_policy": NO_CACHE}
+        run = functools.wraps(self.fn)(lambda *args, **kwargs: self.run(*args, **kwargs))
+        return prefect.task(persist_result=self._cached, result_serializer="json", **caching)(run)
 
     def __reduce__(self) -> str:
         """Send the task by its name: a worker process imports it and calls `fn`."""
@@ -112,6 +133,8 @@ class Task(Generic[P, R]):
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the task, or return the cached result of an earlier run with the same inputs, options and code."""
         with progress.step(self._label) as shown:
+            if _bare.get():
+                return self.run(*args, **kwargs)
             state = self._step(*args, **kwargs, return_state=True)
             result = state.result()
             shown.reused = state.name == "Cached"
@@ -163,6 +186,8 @@ class Task(Generic[P, R]):
             call: the one argument of a mapped task.
             ahead: the call's result, where it was computed in a batch.
         """
+        from prefect.results import get_result_store
+
         key, records = self.key(call), get_result_store()
 
         def made() -> R:

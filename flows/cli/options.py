@@ -18,7 +18,8 @@ from pydantic.fields import FieldInfo
 
 from hfb.config import OWN_NETWORKS, RENAMED_FIT_OPTIONS, InitConfig, RunConfig, preset
 from hfb.errors import InputError
-from hfb.io.toml_file import merged, read_toml, to_record
+from hfb.io.run_options import check_options, complete_options
+from hfb.io.toml_file import merged, read_toml
 
 _log = logging.getLogger(__name__)
 _PREFIX = "config:"
@@ -114,19 +115,12 @@ def run_config(args: argparse.Namespace) -> RunConfig:
         InputError: an unknown key or an impossible value, named with where it came from.
     """
     path: Path | None = args.config
-    from_file = _checked(read_toml(path), str(path)) if path else {}
+    from_file = check_options(read_toml(path), str(path)) if path else {}
     from_flags = _nest({key: value for key, value in vars(args).items() if key.startswith(_PREFIX)})
     if "weights" in args:
         from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": args.weights}})
-    from_flags = _checked(from_flags, "options")
-    name = from_flags.get("preset", from_file.get("preset", _DEFAULT_PRESET))
-    content = merged(merged(preset(name).model_dump(), from_file), from_flags)
-    return to_record(RunConfig, content, "options")
-
-
-def _checked(content: dict[str, Any], source: str) -> dict[str, Any]:
-    """Return the content with current option names; raises InputError where it is impossible."""
-    return to_record(RunConfig, content, source).model_dump(exclude_unset=True)
+    from_flags = check_options(from_flags, "options")
+    return complete_options(from_flags, from_file)
 
 
 def _room_of_weights(chosen: Mapping[str, Any]) -> str:

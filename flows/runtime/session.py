@@ -63,8 +63,8 @@ def open_session(args: argparse.Namespace, out: Path, recorded: bool = True) -> 
     """
     from hfb.flows.runtime.prefect_home import make_home
     from hfb.flows.runtime.server import check_api_url, keep_log
-    from hfb.flows.runtime.workspace import check_writable
     from hfb.tasks.batch.prometheus_metrics import serve_metrics
+    from hfb.tasks.results.workspace import check_writable
     from hfb.tasks.telemetry import displays, progress
     from hfb.tasks.tracking.store_place import check_store, tracking_uri
 

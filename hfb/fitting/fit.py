@@ -29,6 +29,7 @@ from hfb.motion.sampled import SampledMotion, sample_motion
 from hfb.motion.static_pose import FirstBody, OtherFront
 from hfb.motion.trajectory import Trajectory
 from hfb.objective.objective import Objective
+from hfb.objective.own_term import OwnTerm
 from hfb.objective.texture import TexelNeighbours, texel_neighbours
 from hfb.objective.weights import base_weights
 from hfb.priors.motion_prior import MotionPrior, load_motion_prior
@@ -112,6 +113,7 @@ def fit(
     motion_prior: MotionPrior | None = None,
     identity: Identity | None = None,
     other_front: OtherFront | None = None,
+    own_terms: Sequence[OwnTerm] = (),
 ) -> FitResult:
     """Minimise eq. (11) over motion, shape and texture, from one static body per frame.
 
@@ -126,13 +128,23 @@ def fit(
         motion_prior: prior of the motion, for the directions; the shipped one when not given.
         identity: known shape and texture, held fixed; the first bodies must have that shape.
         other_front: see `Problem`.
+        own_terms: further terms of the loss, on the processor only.
 
     Raises:
-        InputError: all mattes are empty.
+        InputError: all mattes are empty, or terms of the caller's own are given for a fit on a device.
         FloatingPointError: the loss is not finite; the message names the first such terms.
     """
     problem = Problem(observation, first_bodies, identity, other_front)
-    return fit_all([problem], body, config, seed, pose_prior, on_progress=on_progress, motion_prior=motion_prior)[0]
+    return fit_all(
+        [problem],
+        body,
+        config,
+        seed,
+        pose_prior,
+        on_progress=on_progress,
+        motion_prior=motion_prior,
+        own_terms=own_terms,
+    )[0]
 
 
 def fit_all(
@@ -145,6 +157,7 @@ def fit_all(
     on_progress: Progress | None = None,
     motion_prior: MotionPrior | None = None,
     batch_size: int = 1,
+    own_terms: Sequence[OwnTerm] = (),
 ) -> list[FitResult]:
     """Fit several problems, each as `fit` does: one after another, or on a device as one batch.
 
@@ -161,6 +174,7 @@ def fit_all(
         on_progress: as of `fit`; of a batch with the mean loss.
         motion_prior: as of `fit`.
         batch_size: on a device a batch is padded to this size, so that results do not depend on the other fits in it.
+        own_terms: as of `fit`.
 
     Raises:
         InputError: as `fit`; or the device's memory is too small for the batch.
@@ -168,7 +182,9 @@ def fit_all(
         ValueError: the problems of a batch differ in kind.
     """
     started = time.perf_counter()
-    schedule = _Schedule(body, config, seed, pose_prior, motion_prior or load_motion_prior(None))
+    schedule = _Schedule(body, config, seed, pose_prior, motion_prior or load_motion_prior(None), tuple(own_terms))
+    if own_terms and schedule.batched:
+        raise InputError("extra terms are computed on the processor only: take the rasterizer cpu")
     with one_torch_thread():
         if schedule.batched:
             results = _fit_batch(problems, schedule, on_progress, batch_size)
@@ -298,6 +314,7 @@ class _Schedule:
     seed: int
     pose_prior: PosePrior
     motion_prior: MotionPrior
+    own_terms: tuple[OwnTerm, ...] = ()
 
     @property
     def batched(self) -> bool:
@@ -340,6 +357,7 @@ class _Schedule:
             evidence=initial.joints,
             xy_weight=config.xy_weight,
             motion_prior=self.motion_prior,
+            own_terms=self.own_terms,
         )
 
     def finish(self, fitted: _Fitted, other: _Fitted | None = None) -> FitResult:

@@ -19,6 +19,7 @@ from hfb.kernels.objective.image_losses import Target
 from hfb.motion.clock import next_opening, subframe_clock
 from hfb.motion.trajectory import Trajectory
 from hfb.objective.boundary import boundary_loss
+from hfb.objective.own_term import OwnTerm, TermInputs
 from hfb.objective.pyramid import image_over_scales, matte_over_scales
 from hfb.objective.regularizers import background_loss, motion_loss, pose_loss, shape_loss, start_loss
 from hfb.objective.texture import TexelNeighbours, texture_smoothness
@@ -44,6 +45,7 @@ class Objective:
         motion_prior: for L_A, which is used for single frames only: neighbours tell the direction better.
         warm_up: compare paths with the network's likelier sign, for several frames too. Afterwards the sign of a single
             frame's path is free, and several frames tell each other's paths.
+        own_terms: terms of the caller's own.
         matte_scales: number of scales of L_alpha and L_I, each half the size of the last.
         image_scales: number of scales of L_alpha and L_I, each half the size of the last.
     """
@@ -63,6 +65,7 @@ class Objective:
     xy_weight: float = 1.0
     motion_prior: MotionPrior | None = None
     warm_up: bool = False
+    own_terms: tuple[OwnTerm, ...] = ()
 
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
@@ -154,6 +157,12 @@ class Objective:
             terms["adversarial"] = self.motion_prior(trajectory, shaped)
         if weights.boundary > 0 and frames > 1:
             terms["boundary"] = boundary_loss(trajectory, shaped, next_opening(seen.exposure_s, seen.interval_s))
+        if self.own_terms:
+            places = rotations[:, :-1], translations[:, :-1]
+            flat = (one.flatten(0, 1) for one in places)
+            joints = known[0][:, :-1] if known else shaped.joints_of(*flat).unflatten(0, (frames, -1))
+            inputs = TermInputs(trajectory, betas, shaped, *places, joints, seen)
+            terms |= {one.name: one(inputs) for one in self.own_terms}
         return terms
 
     def _some_joints(
@@ -246,7 +255,7 @@ class Objective:
             terms: unweighted, by name.
         """
         values = torch.stack(tuple(terms.values()))
-        weights = constant(tuple(getattr(self.weights, name) for name in terms), values.dtype, values.device)
+        weights = constant(tuple(self._weight_of(name) for name in terms), values.dtype, values.device)
         return (values * weights.view(-1, *[1] * (values.ndim - 1))).sum(0)
 
     def total_of_values(self, values: dict[str, float]) -> float:
@@ -255,7 +264,11 @@ class Objective:
         Args:
             values: unweighted terms by name.
         """
-        return sum(getattr(self.weights, name) * value for name, value in values.items())
+        return sum(self._weight_of(name) * value for name, value in values.items())
+
+    def _weight_of(self, name: str) -> float:
+        own = {one.name: one.weight for one in self.own_terms}
+        return own[name] if name in own else float(getattr(self.weights, name))
 
     def backward(self, terms: dict[str, Float[Tensor, ""]]) -> None:
         """Accumulate the gradients of `total` in the free variables; starts at the terms, which saves a node.
@@ -264,7 +277,7 @@ class Objective:
             terms: unweighted, by name.
         """
         free = {name: term for name, term in terms.items() if term.requires_grad}
-        weights = [constant(getattr(self.weights, name), one.dtype, one.device) for name, one in free.items()]
+        weights = [constant(self._weight_of(name), one.dtype, one.device) for name, one in free.items()]
         torch.autograd.backward(tuple(free.values()), weights)
 
 

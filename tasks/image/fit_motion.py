@@ -11,8 +11,10 @@ from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import write_matte, write_png
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
+from hfb.objective.own_term import OwnTerm
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_prior import load_motion_prior
+from hfb.priors.pose import PosePrior
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
 from hfb.tasks.task import task
@@ -30,6 +32,8 @@ def fit_motion(
     config: FitConfig,
     seed: int,
     folder: Path,
+    own_prior: PosePrior | None = None,
+    own_terms: tuple[OwnTerm, ...] = (),
 ) -> FitHandle:
     """Minimise eq. (11); leaves the motion, the texture, the mattes it used last and every term's history.
 
@@ -42,6 +46,8 @@ def fit_motion(
         config: options of the fit.
         seed: of the random numbers.
         folder: where the files go.
+        own_prior: a caller's pose prior in place of the options', as of `hfb.tasks.image.matte`.
+        own_terms: a caller's further terms.
     """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
     firsts = [load_first_body(first.path) for first in first_bodies]
@@ -51,10 +57,11 @@ def fit_motion(
         model,
         config,
         seed,
-        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
+        own_prior or load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
         on_progress=progress.advance,
         motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
         other_front=find_other_front(observation, firsts, model, enabled=config.both_fronts),
+        own_terms=own_terms,
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
     save_motion(paths[0], result.motion, model.betas_space)

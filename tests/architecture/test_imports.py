@@ -10,13 +10,14 @@ pytestmark = pytest.mark.integration
 
 PROGRAM = """
 import importlib, pkgutil, sys
+above = {"hfb.api", "hfb.tasks", "hfb.flows"}
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {"prefect", "mlflow", "rich"} or name in {"hfb.tasks", "hfb.flows"}:
+        if name.partition(".")[0] in {"prefect", "mlflow", "rich"} or name in above:
             raise ModuleNotFoundError(f"{name} is not there")
 sys.meta_path.insert(0, Absent())
 import hfb
-rooms = [room for room in pkgutil.iter_modules(hfb.__path__, "hfb.") if room.name not in {"hfb.tasks", "hfb.flows"}]
+rooms = [room for room in pkgutil.iter_modules(hfb.__path__, "hfb.") if room.name not in above]
 names = [room.name for room in rooms]
 for room in rooms:
     if room.ispkg:

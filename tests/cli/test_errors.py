@@ -96,7 +96,7 @@ def test_a_place_that_cannot_be_written(
 
 
 def test_two_at_once(problem: Problem, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from hfb.flows.runtime.workspace import workspace
+    from hfb.tasks.results.workspace import workspace
 
     with workspace(tmp_path / "out"):
         code = main(

@@ -11,10 +11,10 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.flows.cli.cli import main
-from hfb.flows.runtime.own_files import OWN_FILES
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import load_motion, save_motion
+from hfb.tasks.results.own_files import OWN_FILES
 from tests.interop.writers.motions import motion_of
 
 MOTION = motion_of(load_default_body(torch.float64), frames=2)
@@ -143,7 +143,7 @@ def test_what_a_killed_export_left_is_hfbs(
         write_bytes_atomic(path, data)
 
     with monkeypatch.context() as patched:
-        patched.setattr("hfb.flows.runtime.own_files.write_bytes_atomic", killed)
+        patched.setattr("hfb.tasks.results.own_files.write_bytes_atomic", killed)
         assert main(words) != 0
     assert written == [OWN_FILES, "motion.bvh"]
     assert main(words) == 0

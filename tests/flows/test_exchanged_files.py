@@ -12,13 +12,13 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.flows import export, record, report
-from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import RECORD
 from hfb.io.media.images import image_io
 from hfb.io.media.images.image_io import stored_png, write_png
 from hfb.motion.motion_file import save_motion
 from hfb.report.pages import page
 from hfb.tasks.core.handles import sha256_of
+from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.tracking.run_record import RecordedFile, RunRecord
 from tests.faults.stores import artifacts_of
 from tests.interop.writers.motions import motion_of

@@ -15,12 +15,12 @@ from hfb.errors import InputError, TemporaryError
 from hfb.flows.compare import _check_room
 from hfb.flows.export import export_result
 from hfb.flows.report import make_report
-from hfb.flows.runtime.workspace import beside_result, mark_unfinished, publish, workspace
 from hfb.io.safe_folder import NotOrdinary
 from hfb.motion.motion_file import save_motion
 from hfb.tasks.core.result_folder import check_result
 from hfb.tasks.core.result_records import drop_foreign
 from hfb.tasks.results.stored_runs import find_run
+from hfb.tasks.results.workspace import beside_result, mark_unfinished, publish, workspace
 from tests.flows.test_workspace import published
 from tests.interop.writers.motions import motion_of
 from tests.orchestration import is_finished

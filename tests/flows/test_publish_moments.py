@@ -17,7 +17,7 @@ from tests.orchestration import is_finished
 _SCRIPT = """
 import sys
 from pathlib import Path
-from hfb.flows.runtime.workspace import publish, workspace
+from hfb.tasks.results.workspace import publish, workspace
 from tests.faults.killed_publish import kill_at_each_step
 out, made = Path(sys.argv[1]), {path.name: path for path in Path(sys.argv[2]).iterdir()}
 with workspace(out):

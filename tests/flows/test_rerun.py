@@ -189,13 +189,13 @@ def test_files_that_options_name_move_too(
 def test_an_interrupted_repetition_goes_on(
     made: dict[str, Any], store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import hfb.flows.fit_image
+    from hfb.tasks.chains import image_chain
 
     def interrupted(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(hfb.flows.fit_image, "strip", interrupted)
+        patch.setattr(image_chain, "strip", interrupted)
         with pytest.raises(KeyboardInterrupt):
             again(made["mlflow_run_id"])
     out = tmp_path / "runs" / f"rerun-{made['mlflow_run_id'][:8]}"

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from hfb.flows.runtime import workspace as place
-from hfb.flows.runtime.workspace import OutputConflict, beside_result, publish, workspace
 from hfb.tasks.core.handles import sha256_of
+from hfb.tasks.results import workspace as place
+from hfb.tasks.results.workspace import OutputConflict, beside_result, publish, workspace
 
 
 def published(out: Path, files: Mapping[str, str], **facts: Any) -> dict[str, Any]:

@@ -19,13 +19,13 @@ from typing import Any
 from filelock import lock_descriptor
 
 from hfb.errors import Busy, InputError, TemporaryError
-from hfb.flows.runtime.own_files import among_own_files
 from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
 from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
 from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.core.result_folder import UNFINISHED, read_result_content
+from hfb.tasks.results.own_files import among_own_files
 from hfb.tasks.telemetry.secrets import hidden_in
 
 INTERMEDIATE = "intermediate"

@@ -1,0 +1,181 @@
+"""`hfb.fit`, `hfb.matte` and `hfb.first_body`: the steps of the command `hfb fit` as functions, without a server."""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from hfb.api.call_options import config_of
+from hfb.api.given_images import Image, errors_of_calls, image_files
+from hfb.api.own_parts import TermFunction, own_parts
+from hfb.api.result import Result, result_of
+from hfb.config import RunConfig
+from hfb.errors import InputError
+from hfb.initialization.initializer import Initializer
+from hfb.io.media.images.image_io import read_matte
+from hfb.kernels.determinism import one_torch_thread
+from hfb.matting.matting_protocol import Matting
+from hfb.motion.static_pose import FirstBody, load_first_body
+from hfb.priors.pose import PosePrior
+from hfb.tasks.chains.image_chain import OwnParts, find_first_bodies, see_images
+from hfb.tasks.chains.image_chain import fit_images as run_chain
+from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
+from hfb.tasks.task import without_prefect
+from hfb.tasks.telemetry import progress
+from hfb.typing import Array, Float
+
+Progress: TypeAlias = Callable[[str, int, int | None], object]
+
+
+class _Told(progress.Display):
+    """Passes the progress of steps to a function of the caller's."""
+
+    def __init__(self, function: Progress) -> None:
+        self._function = function
+
+    def update(self, shown: progress.Shown) -> None:
+        """See `Display`."""
+        self._function(shown.label, shown.done, shown.total)
+
+    begin = update
+
+
+def fit(
+    frames: Image | Sequence[Image],
+    background: Image,
+    *,
+    init: str | Path | Initializer | None = None,
+    matting: str | Matting | None = None,
+    prior: str | Path | PosePrior | None = None,
+    extra_terms: Mapping[str, TermFunction | tuple[TermFunction, float]] | None = None,
+    clip: str | Path | None = None,
+    config: str | Path | None = None,
+    on_progress: Progress | None = None,
+    **options: object,
+) -> Result:
+    """Recover how a person moved while the shutter was open, as the command ``hfb fit`` does, with the same numbers.
+
+    Images are paths, PIL images, or arrays (H, W, 3): uint8 is sRGB, floating point is linear light in [0, 1]. Neither
+    Prefect nor MLflow is imported; nothing is recorded or cached.
+
+    Args:
+        frames: one blurred image, or several of one static camera in their order, which are one problem.
+        background: the same view without the person.
+        init: how to find the first body (``"auto"``, ``"mediapipe"``, ``"matte"`` ...), another system's result as a
+            file, or an `hfb.Initializer`.
+        matting: a method's name, or an `hfb.Matting`.
+        prior: ``"anatomy"`` or ``"mixture"``, a file, or an `hfb.PosePrior`.
+        extra_terms: name -> a function of `hfb.TermInputs` that returns a scalar tensor, or (function, weight); the
+            weight is 1 where none is given.
+        clip: a clip.toml with calibration and exposure.
+        config: a TOML file of options.
+        on_progress: called with a step's name, how much of it is done, and of how much (None where that is not known).
+        **options: those of the command line by the same names: ``preset="paper"``, ``seed=1``, ``height_m=1.82``,
+            ``subframes=4``, ``focal_px=1180``, ``fit={"weights": {"joints": 0}}``.
+
+    Raises:
+        InputError: an input cannot be used; the sentence names the fix.
+    """
+    own = own_parts(matting, init, prior, extra_terms)
+    options = {**options, **_options(init=init, matting=matting, prior=prior)}
+    shown = progress.showing(_Told(on_progress)) if on_progress else nullcontext()
+    with shown, _taken(frames, background, options, clip=clip, config=config, keep=True) as (inputs, chosen, folder):
+        return result_of(run_chain(inputs, chosen, folder, own), folder)
+
+
+def matte(
+    frame: Image,
+    background: Image,
+    *,
+    matting: str | None = None,
+    clip: str | Path | None = None,
+    config: str | Path | None = None,
+    **options: object,
+) -> Float[Array, "H W"]:
+    """Estimate the person's share of each pixel.
+
+    Args:
+        frame: as of `fit`.
+        background: as of `fit`.
+        matting: a method's name.
+        clip: as of `fit`.
+        config: as of `fit`.
+        **options: as of `fit`.
+
+    Raises:
+        InputError: frame and plate do not match, or no person is found.
+    """
+    options = {**options, **_options(matting=matting)}
+    with _taken(frame, background, options, clip=clip, config=config) as (inputs, chosen, folder):
+        _, (found,) = see_images(inputs, chosen, folder, OwnParts())
+        return read_matte(found.path)
+
+
+def first_body(
+    frame: Image,
+    background: Image,
+    *,
+    init: str | Path | None = None,
+    matting: str | Matting | None = None,
+    clip: str | Path | None = None,
+    config: str | Path | None = None,
+    **options: object,
+) -> FirstBody:
+    """Estimate the static body that a fit of one frame starts from.
+
+    Args:
+        frame: as of `fit`.
+        background: as of `fit`.
+        init: as of `fit`.
+        matting: as of `fit`.
+        clip: as of `fit`.
+        config: as of `fit`.
+        **options: as of `fit`.
+
+    Raises:
+        InputError: no person is found.
+    """
+    own = own_parts(matting, None, None, None)
+    options = {**options, **_options(init=init, matting=matting)}
+    with _taken(frame, background, options, clip=clip, config=config) as (inputs, chosen, folder):
+        scene, mattes = see_images(inputs, chosen, folder, own)
+        (found,) = find_first_bodies(scene, mattes, inputs=inputs, config=chosen, folder=folder, own=own)
+        return load_first_body(found.path)
+
+
+def _options(**given: object) -> dict[str, object]:
+    """Return those that are options: neither missing nor a function."""
+    return {name: value for name, value in given.items() if value is not None and not callable(value)}
+
+
+@contextmanager
+def _taken(
+    frames: Any,
+    background: Image,
+    options: Mapping[str, object],
+    *,
+    clip: str | Path | None,
+    config: str | Path | None,
+    keep: bool = False,
+) -> Iterator[tuple[Inputs, RunConfig, Path]]:
+    """Provide inputs, options and a private folder; tasks run inside the block as plain functions.
+
+    The folder is removed at the end, unless it is to be kept and nothing failed.
+    """
+    folder, kept = Path(tempfile.mkdtemp(prefix="hfb-")).resolve(), False
+    try:
+        with errors_of_calls(folder), one_torch_thread(), without_prefect():
+            chosen = config_of(options, config)
+            paths, plate = image_files(frames, background, folder)
+            inputs = take_inputs(paths, plate, chosen, Path(clip) if clip is not None else None)
+            if inputs.clip.transfer != "srgb" and folder in {one.parent for one in (*paths, plate)}:
+                raise InputError(
+                    f"{clip} says how files store light, and arrays are no files: give paths, or no transfer"
+                )
+            yield inputs, with_height(chosen, inputs.clip), folder
+        kept = keep
+    finally:
+        if not kept:
+            shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,287 @@
+"""A fitted motion in memory: arrays, the page, the viewer, exports, and the folder that all commands read."""
+
+import difflib
+import html
+import shutil
+import tempfile
+import weakref
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import numpy as np
+
+from hfb.api.given_images import errors_of_calls
+from hfb.body.assets import load_body as load_any_body
+from hfb.body.model import BetasSpace, Body
+from hfb.config import MotionFormat
+from hfb.errors import InputError
+from hfb.fitting.alternatives import Alternatives, load_alternatives
+from hfb.interop.writers.export_names import FILE_NAMES, REPORT, RESULT, check_formats
+from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.io.media.images.image_io import read_matte, read_picture_srgb, stored_png
+from hfb.motion.motion_file import load_motion
+from hfb.motion.sampled import SampledMotion
+from hfb.photometry import srgb_to_linear
+from hfb.report.pages.page import page
+from hfb.report.pages.result_facts import read_facts
+from hfb.report.pages.result_unknown import alternative_motions
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.tasks.chains.image_chain import ImageFit
+from hfb.tasks.core.environment import environment
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.result_folder import check_result
+from hfb.tasks.inputs.out_place import check_no_clip
+from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
+from hfb.tasks.results.result_report import ReportParts, write_page, write_page_film
+from hfb.tasks.results.workspace import beside_result, check_writable, publish, workspace
+from hfb.tasks.telemetry.secrets import hidden_in
+from hfb.typing import Array, Float, Int
+
+_FILES = ("motion.npz", "alternatives.npz", "texture.png", "strip.png", "curves.json")
+_VIEWER_PX = 640
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """The viewer of a motion: a notebook shows it where it is the last value of a cell.
+
+    Attributes:
+        html: a page that is complete in itself.
+    """
+
+    html: str
+
+    def _repr_html_(self) -> str:
+        """Return the page within a notebook's cell."""
+        style = f"width:100%;height:{_VIEWER_PX}px;border:0"
+        return f'<iframe srcdoc="{html.escape(self.html)}" style="{style}"></iframe>'
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """A fitted motion: R = frames x sub-frames rows in camera coordinates (OpenCV: x right, y down, z forward).
+
+    Arrays are float64 and as in motion.npz, see docs/reference/files.md.
+
+    Attributes:
+        motion: all arrays of motion.npz.
+        betas_space: whose shape coefficients they are: ``"smpl"``, or ``"hfb"`` (the embedded body's own).
+        facts: figures, options, versions and warnings, as in result.json.
+        alternatives: other motions that explain the images, with their probabilities; None where none were searched.
+    """
+
+    motion: SampledMotion
+    betas_space: BetasSpace
+    facts: Mapping[str, Any]
+    alternatives: Alternatives | None
+    _files: Mapping[str, Path]
+    _folder: Path | None = None
+    _fit: ImageFit | None = None
+
+    @property
+    def poses(self) -> Float[Array, "R 72"]:
+        """Axis-angle of 24 joints [rad], SMPL's order, the root first."""
+        return self.motion.poses
+
+    @property
+    def trans(self) -> Float[Array, "R 3"]:
+        """SMPL's translation [m]."""
+        return self.motion.trans
+
+    @property
+    def betas(self) -> Float[Array, "10"]:
+        """Shape coefficients."""
+        return self.motion.betas
+
+    @property
+    def joints(self) -> Float[Array, "R 24 3"]:
+        """Joint positions [m]."""
+        return self.motion.joints
+
+    @property
+    def times_s(self) -> Float[Array, "R"]:
+        """Time since the first shutter opened [s]."""
+        return self.motion.times_s
+
+    @property
+    def frame_index(self) -> Int[Array, "R"]:
+        """The frame of each row, from 0 on."""
+        return self.motion.frame_index
+
+    @property
+    def radii_mm(self) -> Float[Array, "R 24"]:
+        """The joints' median errors about the pelvis [mm] (``joint_radius_mm``); NaN where nothing is known."""
+        known = self.motion.joint_radius_mm
+        return np.full(self.joints.shape[:2], np.nan) if known is None else known
+
+    @property
+    def mattes(self) -> Float[Array, "T H W"]:
+        """The person's share of each pixel, as the fit's last stage used it; of a saved clip none."""
+        names = sorted((name for name in self._files if name.startswith("matte_")), key=lambda one: int(one[6:-4]))
+        return np.stack([read_matte(self._files[name]) for name in names]) if names else np.zeros((0, 0, 0), np.float32)
+
+    @property
+    def texture_linear(self) -> Float[Array, "A A 3"]:
+        """The person's texture in linear light, with 8 bits of sRGB."""
+        return srgb_to_linear(read_picture_srgb(self._files["texture.png"]))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Signs that the result is wrong, one sentence each."""
+        return tuple(one["message"] for one in self.facts.get("warnings") or ())
+
+    @cached_property
+    def body(self) -> Body:
+        """The body model that was fitted.
+
+        Raises:
+            InputError: it is the user's own, and its file is gone or another one.
+        """
+        if self._fit is not None:
+            own = self._fit.inputs.body
+            return load_any_body(own.path if own else None)
+        path = find_named_body(self._folder / RESULT) if self._folder else None
+        return load_fitted_body(self.motion, self.betas_space, path)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write the result's folder, which `hfb.load_result` and the commands `hfb report` and `hfb export` read.
+
+        An earlier result of hfb there is replaced; other files are never.
+
+        Args:
+            folder: a new folder, or that of an earlier result.
+
+        Returns:
+            the folder.
+
+        Raises:
+            InputError: the folder cannot be written, or files that hfb did not write are in the way.
+        """
+        out = Path(folder)
+        facts = {**self.facts, "out": str(out.resolve()), "strip": str(out.resolve() / "strip.png"), "report": None}
+        with errors_of_calls():
+            check_no_clip(out)
+            with workspace(out):
+                publish(out, self._files, facts)
+        return out
+
+    def report(self, folder: str | Path | None = None) -> Path:
+        """Write report.html: the result on one page that opens anywhere.
+
+        Args:
+            folder: of the page; the result's own where it was loaded, else the working directory.
+
+        Raises:
+            InputError: the folder cannot be written, or a file that hfb did not write is in the way.
+        """
+        target = self._beside(folder, "")
+        with errors_of_calls(), beside_result(target, [REPORT]) as made, tempfile.TemporaryDirectory() as private:
+            film = None
+            if self._fit is not None:
+                shot = self._fit.shot
+                film = FileHandle.of(write_page_film(shot.load(), shot.motion.sha256, Path(private)))
+            known = {name: FileHandle.of(path) for name, path in self._files.items() if name in _FILES}
+            parts = ReportParts(
+                motion=known["motion.npz"],
+                curves=known["curves.json"],
+                texture=known.get("texture.png"),
+                strip=known.get("strip.png"),
+                alternatives=known.get("alternatives.npz"),
+                film=film,
+            )
+            name = target.resolve().name
+            write_page(parts, self.body, hidden_in(self.facts), environment(), path=made / REPORT, name=name)
+        return target / REPORT
+
+    def export(self, *formats: str, folder: str | Path | None = None) -> list[Path]:
+        """Write motion files for other programs.
+
+        Args:
+            *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"`` or ``"c3d"``.
+            folder: where they go; ``export`` in the result's own folder where it was loaded, else in the working
+                directory.
+
+        Returns:
+            the files, in the order of the formats.
+
+        Raises:
+            InputError: a format is unknown or its library missing, or the folder cannot be written.
+        """
+        if unknown := [form for form in formats if form not in FILE_NAMES]:
+            close = difflib.get_close_matches(unknown[0], list(FILE_NAMES), n=1) or list(FILE_NAMES)
+            raise InputError(f"unknown format {unknown[0]}; did you mean {' or '.join(close)}?")
+        known = [cast(MotionFormat, form) for form in formats]
+        check_formats(known)
+        target = self._beside(folder, "export")
+        png = stored_png(self._files["texture.png"]) if "texture.png" in self._files else None
+        exported = Exported(self.motion, self.betas_space, self.body, png)
+        with errors_of_calls(), beside_result(target, [FILE_NAMES[form] for form in known]) as made:
+            for form in known:
+                write_motion_file(made, form, exported)
+        return [target / FILE_NAMES[form] for form in known]
+
+    def show(self) -> Viewer:
+        """Return the motion and its alternatives in the 3D viewer, which a notebook displays."""
+        motions = [ViewedMotion("as fitted", self.motion)]
+        if self.alternatives is not None:
+            motions += alternative_motions(self.motion, self.alternatives)
+        png = stored_png(self._files["texture.png"]) if "texture.png" in self._files else None
+        content = viewer(motions, self.body, png)
+        return Viewer(page("base.html", "Human from Blur", content=content, scripts=viewer_scripts()))
+
+    def _beside(self, folder: str | Path | None, name: str) -> Path:
+        """Return where further files go."""
+        target = Path(folder) if folder is not None else (self._folder or Path.cwd()) / name
+        with errors_of_calls():
+            check_writable(target)
+        return target
+
+    def __repr__(self) -> str:
+        frames = len(set(self.frame_index.tolist()))
+        figures = {"matte_iou": ".3f", "psnr_db": ".1f"}
+        said = [f"{name} {self.facts[name]:{form}}" for name, form in figures.items() if self.facts.get(name)]
+        said += [f"{len(self.warnings)} warnings"] if self.warnings else []
+        return f"Result({', '.join([f'{frames} frames x {len(self.poses) // frames} sub-frames', *said])})"
+
+
+def load_result(folder: str | Path) -> Result:
+    """Read a result that `Result.save`, `hfb fit` or `hfb video` left.
+
+    Args:
+        folder: of the result.
+
+    Raises:
+        InputError: there is no finished result, or a file of it is damaged.
+    """
+    place = Path(folder)
+    if not place.is_dir():
+        raise InputError(f"there is no folder {place}: give that of a result")
+    check_result(place, _FILES)
+    facts = read_facts(place / RESULT)
+    motion, space = load_motion(place / "motion.npz")
+    if space not in get_args(BetasSpace):
+        raise InputError(
+            f"{place / 'motion.npz'} has betas of {space!r}, which no body model has: make the result again"
+        )
+    names = [*_FILES, *(name for name in facts.get("files") or () if str(name).startswith("matte_"))]
+    files = {name: place / name for name in names if (place / name).is_file()}
+    others = load_alternatives(place / "alternatives.npz")[0] if "alternatives.npz" in files else None
+    return Result(motion, cast(BetasSpace, space), facts, others, files, place)
+
+
+def result_of(fit: ImageFit, private: Path) -> Result:
+    """Return the result of a fit whose files lie in a private folder.
+
+    Args:
+        fit: the fit.
+        private: the folder; it is removed with the result.
+    """
+    motion, space = load_motion(fit.fitted.motion.path)
+    others = load_alternatives(fit.fitted.alternatives.path)[0] if fit.fitted.alternatives else None
+    files = {name: file.path for name, file in fit.files().items()}
+    result = Result(motion, cast(BetasSpace, space), fit.facts(), others, files, None, fit)
+    weakref.finalize(result, shutil.rmtree, private, ignore_errors=True)
+    return result
