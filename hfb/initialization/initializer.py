@@ -13,6 +13,7 @@ from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.joint_layouts import keypoints_as_24
 from hfb.initialization.keypoint_network import KeypointNetwork
 from hfb.initialization.keypoint_registration import register_keypoints
+from hfb.initialization.landmark_lift import lift_landmarks
 from hfb.initialization.landmarks import Landmarks, PoseNetworks, networks_ready
 from hfb.initialization.lean import less_lean
 from hfb.initialization.matte_search import search_by_matte
@@ -41,7 +42,7 @@ _REFINEMENT = (SilhouetteStage(64, 40, 0.02, shape=False), SilhouetteStage(_COMP
 _ABOUT_AS_GOOD = 0.03  # a smear hardly determines a pose: the one found at rest is nearer to the truth
 _SAME_DISTANCE = 0.05  # but a smear determines the distance, and a body found at rest is mostly too near
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
-_STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.3, place=0.5)  # no outline shows how far a body leans in depth
+_STAY_BY_LANDMARKS = Stay(pose=0.15, root=3.0, place=0.5)  # no outline shows how far a body leans in depth
 
 
 @runtime_checkable
@@ -146,7 +147,8 @@ class LandmarkInitializer:
             camera: camera of the image.
             body: the body model.
         """
-        return _nearer_to_matte(register(landmarks, camera, body), matte, camera, body, self._rasterizer)
+        first = register(landmarks, lift_landmarks(landmarks, camera), camera, body)
+        return _nearer_to_matte(first, matte, camera, body, self._rasterizer)
 
 
 class KeypointInitializer:

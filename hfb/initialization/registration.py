@@ -1,12 +1,11 @@
 """Registration of the body to 33 landmarks: pose, translation and a little shape, in camera coordinates.
 
 The body's joints and a few surface points (nose, ears, heels, toes) are fitted to the landmarks: their pixels determine
-positions in the image, the metric landmarks the directions of bones, an anatomical prior the rest.
+positions in the image, the lifted landmarks the depth, an anatomical prior the rest.
 """
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 
 from hfb.body.model import Body, ShapedBody
@@ -14,36 +13,19 @@ from hfb.body.skeleton import JOINT_NAMES, PARENTS
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.procrustes import nearest_rotations
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.initialization.landmark_lift import JOINT_POINTS, POINTS, LiftedPoints
 from hfb.initialization.landmarks import LANDMARK, Landmarks
 from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Float, Int, Tensor
 
-_SAME_JOINTS = tuple(
-    f"{side}_{part}" for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")
-)
-# Directions that are compared in 3D, with weights: long bones well seen by the network count more.
-_DIRECTIONS = (
-    ("left_hip", "right_hip", 1.0),
-    ("left_shoulder", "right_shoulder", 1.0),
-    ("left_hip", "left_shoulder", 1.0),
-    ("right_hip", "right_shoulder", 1.0),
-    ("left_shoulder", "left_elbow", 1.0),
-    ("left_elbow", "left_wrist", 1.0),
-    ("right_shoulder", "right_elbow", 1.0),
-    ("right_elbow", "right_wrist", 1.0),
-    ("left_hip", "left_knee", 1.0),
-    ("left_knee", "left_ankle", 1.0),
-    ("right_hip", "right_knee", 1.0),
-    ("right_knee", "right_ankle", 1.0),
-    ("left_heel", "left_foot_index", 0.4),
-    ("right_heel", "right_foot_index", 0.4),
-    ("left_ear", "nose", 0.3),
-    ("right_ear", "nose", 0.3),
-    ("left_ear", "right_ear", 0.3),
-)
 _TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
+_HIPS = [POINTS.index("left_hip"), POINTS.index("right_hip")]
 _LEAST_DEPTH_M = 0.5
+_WIDER, _SPREAD_M = 1.3, (0.025, 0.3)
+"""Standard deviation per Laplace scale of a lifted coordinate, and its range: rendered people are easier than real."""
+_ROBUST = 4.5
+"""Mean square from which on the distance from a lifted point counts linearly."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +55,7 @@ def attach_landmarks(shaped: ShapedBody) -> Attachments:
     """
     owner = shaped.body.skinning_weights.argmax(1)
     rows: list[tuple[str, str, Tensor, float]] = [
-        (name, name, shaped.joints.new_zeros(3), 1.0) for name in _SAME_JOINTS
+        (name, name, shaped.joints.new_zeros(3), 1.0) for name in JOINT_POINTS
     ]
 
     def extreme(parts: tuple[str, ...], axis: int, sign: float) -> Tensor:
@@ -100,16 +82,22 @@ def attach_landmarks(shaped: ShapedBody) -> Attachments:
 
 
 def register(
-    landmarks: Landmarks, camera: PinholeCamera, body: Body, iterations: int = 150, source: str = "mediapipe"
+    landmarks: Landmarks,
+    lifted: LiftedPoints,
+    camera: PinholeCamera,
+    body: Body,
+    iterations: int = 150,
+    source: str = "mediapipe",
 ) -> FirstBody:
     """Lay the body onto the landmarks.
 
     Minimises, over root and joint rotations, translation and betas (Adam, deterministic): robust reprojection in
-    units of the trunk, 1 - cosine of the directions between landmarks, the anatomical prior and |betas|^2. A
-    landmark counts as much as the network is sure to see it.
+    units of the trunk, robust distance from the lifted points in units of their scale, the anatomical prior and
+    |betas|^2. In the image a landmark counts as much as the network is sure to see it.
 
     Args:
         landmarks: landmarks of the person.
+        lifted: the same as points of the body.
         camera: camera of the image.
         body: the body model.
         iterations: number of Adam's iterations.
@@ -119,11 +107,9 @@ def register(
     betas = torch.zeros(body.shape_count, dtype=dtype)
     shaped = body.shape(betas)
     attachments = attach_landmarks(shaped)
-    pixels = torch.as_tensor(landmarks.pixels, dtype=dtype)
-    world = torch.as_tensor(world_in_camera(landmarks, camera), dtype=dtype)
-    sure = torch.as_tensor(landmarks.visibility, dtype=dtype).clamp(0.05, 1)
-    R_root = _first_root(shaped, attachments, world)
-    translation = _first_translation(shaped, camera, world, pixels, sure)
+    targets = _Targets.of(landmarks, lifted, attachments)
+    R_root = _first_root(shaped, targets.points)
+    translation = _first_translation(shaped, camera, targets)
     # The optimised root turn is relative to the first guess: no wrap-around at pi, where upright people are.
     free_pose = torch.cat([torch.zeros(1, 3, dtype=dtype), natural_pose(dtype)])
     variables = [free.requires_grad_() for free in (free_pose, translation, betas)]
@@ -132,15 +118,14 @@ def register(
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations, 0.002)
     prior = AnatomicalPrior()
-    targets = _targets(pixels, world, sure)
     for _ in range(iterations):
         optimiser.zero_grad()
         rotations = axis_angle_to_matrix(free_pose)
         rotations = torch.cat([(rotations[0] @ R_root)[None], rotations[1:]])
         rest = body.joint_template + body.joint_shape_directions @ betas
         points = attachments.positions(*follow_chain(rest, rotations, translation))
-        loss = _misfit(points, attachments, camera, targets)
-        loss = loss + 0.03 * prior(free_pose[None, 1:])[0] + 0.5 * (betas * betas).sum()
+        loss = _misfit(points, camera, targets)
+        loss = loss + 0.03 * prior(free_pose[None, 1:])[0] + 2 * (betas * betas).sum()
         loss.backward()
         optimiser.step()
         schedule.step()
@@ -148,22 +133,6 @@ def register(
         final = free_pose.clone()
         final[0] = matrix_to_axis_angle(axis_angle_to_matrix(free_pose[0]) @ R_root)
     return FirstBody(final.detach(), translation.detach(), betas.detach(), source)
-
-
-def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.ndarray, "33 3"]:
-    """Rotate the metric landmarks from "along the region's view ray" to "along the optical axis".
-
-    Args:
-        landmarks: landmarks of the person.
-        camera: camera of the image.
-    """
-    ray = np.array([(landmarks.region.x - camera.cx) / camera.fx, (landmarks.region.y - camera.cy) / camera.fy, 1.0])
-    ray /= np.linalg.norm(ray)
-    cross = np.cross([0.0, 0.0, 1.0], ray)
-    x, y, z = cross
-    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    R_camera_ray = np.eye(3) + skew + skew @ skew / (1 + ray[2])
-    return landmarks.world @ R_camera_ray.T
 
 
 def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
@@ -181,10 +150,10 @@ def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
     return pose[1:]
 
 
-def _first_root(shaped: ShapedBody, attachments: Attachments, world: Float[Tensor, "33 3"]) -> Float[Tensor, "3 3"]:
-    """Return the rotation of the rest trunk (shoulders, hips) that fits the landmarks' trunk best (Kabsch)."""
+def _first_root(shaped: ShapedBody, points: Float[Tensor, "19 3"]) -> Float[Tensor, "3 3"]:
+    """Return the rotation of the rest trunk (shoulders, hips) that fits the points' trunk best (Kabsch)."""
     rest = torch.stack([shaped.joints[JOINT_NAMES.index(name)] for name in _TRUNK])
-    seen = torch.stack([world[LANDMARK[name]] for name in _TRUNK])
+    seen = torch.stack([points[POINTS.index(name)] for name in _TRUNK])
     rest, seen = rest - rest.mean(0), seen - seen.mean(0)
     # A trunk is nearly flat: its normal, added as a point, decides the front.
     rest, seen = (torch.cat([p, _trunk_normal(p)[None]]) for p in (rest, seen))
@@ -199,23 +168,18 @@ def _trunk_normal(points: Float[Tensor, "4 3"]) -> Float[Tensor, "3"]:
     return 0.3 * normal / normal.norm().clamp_min(1e-6)
 
 
-def _first_translation(
-    shaped: ShapedBody,
-    camera: PinholeCamera,
-    world: Float[Tensor, "33 3"],
-    pixels: Float[Tensor, "33 2"],
-    sure: Float[Tensor, "33"],
-) -> Float[Tensor, "3"]:
+def _first_translation(shaped: ShapedBody, camera: PinholeCamera, targets: "_Targets") -> Float[Tensor, "3"]:
     """Return the position of a body of this size that appears at these pixels: linear in the translation.
 
-    For every landmark f (X + t_x) = (u - c_x) (Z + t_z), and the same for y, weighted by certainty.
+    For every joint f (X + t_x) = (u - c_x) (Z + t_z), and the same for y, weighted by certainty.
     """
-    chosen = [LANDMARK[name] for name in _SAME_JOINTS]
-    joints = [JOINT_NAMES.index(name) for name in _SAME_JOINTS]
-    rest = shaped.joints[joints]
-    size = _spread(rest[[0, 1, 6, 7]]) / _spread(world[chosen][[0, 1, 6, 7]]).clamp_min(1e-3)
-    points, weight = world[chosen] * size, sure[chosen].sqrt()
-    slope = (pixels[chosen] - pixels.new_tensor([camera.cx, camera.cy])) / pixels.new_tensor([camera.fx, camera.fy])
+    count = len(JOINT_POINTS)
+    rest = shaped.joints[[JOINT_NAMES.index(name) for name in JOINT_POINTS]]
+    trunk = [POINTS.index(name) for name in _TRUNK]
+    size = _spread(rest[trunk]) / _spread(targets.points[trunk]).clamp_min(1e-3)
+    points, weight = targets.points[:count] * size, targets.sure[:count].sqrt()
+    pixels = targets.pixels[:count]
+    slope = (pixels - pixels.new_tensor([camera.cx, camera.cy])) / pixels.new_tensor([camera.fx, camera.fy])
     zero, one = torch.zeros_like(weight), torch.ones_like(weight)
     rows_x = torch.stack([one, zero, -slope[:, 0]], 1) * weight[:, None]
     rows_y = torch.stack([zero, one, -slope[:, 1]], 1) * weight[:, None]
@@ -238,37 +202,46 @@ def _spread(points: Float[Tensor, "n 3"]) -> Float[Tensor, ""]:
 
 @dataclass(frozen=True)
 class _Targets:
-    """Targets of the body: pixels with certainties, unit directions with weights and their landmark pairs."""
+    """Targets of `POINTS`: pixels, certainties with the points' own weights, and lifted points.
 
-    pixels: Float[Tensor, "33 2"]
-    sure: Float[Tensor, "33"]
-    direction: Float[Tensor, "D 3"]
-    weight: Float[Tensor, "D"]
-    pairs: Int[Tensor, "D 2"]
+    Attributes:
+        points: about the hips' middle [m], as if it were ``distance_m`` away.
+        spread: standard deviation of each coordinate [m].
+    """
+
+    pixels: Float[Tensor, "19 2"]
+    sure: Float[Tensor, "19"]
+    weights: Float[Tensor, "19"]
+    points: Float[Tensor, "19 3"]
+    spread: Float[Tensor, "19 3"]
+    distance_m: Float[Tensor, ""]
+
+    @staticmethod
+    def of(landmarks: Landmarks, lifted: LiftedPoints, attachments: Attachments) -> "_Targets":
+        dtype = attachments.offsets.dtype
+        pixels, sure = (torch.as_tensor(one, dtype=dtype) for one in (landmarks.pixels, landmarks.visibility))
+        return _Targets(
+            pixels[attachments.landmarks],
+            attachments.weights * sure[attachments.landmarks].clamp(0.05, 1),
+            attachments.weights,
+            lifted.points.to(dtype),
+            (_WIDER * lifted.scale.to(dtype)).clamp(*_SPREAD_M),
+            lifted.distance_m.to(dtype),
+        )
 
 
-def _targets(pixels: Float[Tensor, "33 2"], world: Float[Tensor, "33 3"], sure: Float[Tensor, "33"]) -> _Targets:
-    pairs = torch.tensor([(LANDMARK[start], LANDMARK[end]) for start, end, _ in _DIRECTIONS])
-    direction = world[pairs[:, 1]] - world[pairs[:, 0]]
-    weight = torch.tensor([w for *_, w in _DIRECTIONS]).to(world) * sure[pairs].amin(1)
-    return _Targets(pixels, sure, direction / direction.norm(dim=1, keepdim=True).clamp_min(1e-6), weight, pairs)
-
-
-def _misfit(
-    points: Float[Tensor, "L 3"], attachments: Attachments, camera: PinholeCamera, targets: _Targets
-) -> Float[Tensor, ""]:
-    """Return robust reprojection errors in units of the trunk, and 1 - cosine of the directions."""
+def _misfit(points: Float[Tensor, "19 3"], camera: PinholeCamera, targets: _Targets) -> Float[Tensor, ""]:
+    """Return robust reprojection errors in units of the trunk, and robust distances from the lifted points."""
     in_front = torch.cat([points[:, :2], points[:, 2:].clamp_min(_LEAST_DEPTH_M / 2)], 1)
     trunk_px = camera.fx * 0.5 / points[:, 2].detach().mean().clamp_min(_LEAST_DEPTH_M)
-    miss = (camera.project(in_front) - targets.pixels[attachments.landmarks]) / trunk_px
-    weight = attachments.weights * targets.sure[attachments.landmarks]
     # Geman-McClure: an invented limb must not drag the whole body along.
-    square = (miss * miss).sum(1)
-    reprojection = (weight * square / (square + 0.2**2)).sum() * 0.2**2 * 100
-    by_landmark = points.new_zeros(33, 3).index_copy(0, attachments.landmarks, points)
-    along = by_landmark[targets.pairs[:, 1]] - by_landmark[targets.pairs[:, 0]]
-    cosine = (along * targets.direction).sum(1) / (along * along).sum(1).clamp_min(1e-8).sqrt()
-    return reprojection + 4 * (targets.weight * (1 - cosine)).sum()
+    square = ((camera.project(in_front) - targets.pixels) / trunk_px).square().sum(1)
+    reprojection = (targets.sure * square / (square + 0.2**2)).sum() * 0.2**2 * 50
+    hips = points[_HIPS].mean(0)
+    off = (points - hips - targets.points * (hips[2].detach() / targets.distance_m)) / targets.spread
+    mean_square = off.square().mean(1)
+    distances = (targets.weights * ((1 + mean_square / _ROBUST).sqrt() - 1)).sum()
+    return reprojection + 1.5 * _ROBUST * distances
 
 
 def follow_chain(

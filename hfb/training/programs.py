@@ -47,6 +47,8 @@ PROGRAMS = {
     "joints": Entry("joints.joint_training", "train the joint network"),
     "joints-widen": Entry("joints.widen", "give a joint network twice the channels"),
     "joints-export": Entry("joints.joint_export", "write a trained joint network as hfb ships it"),
+    "landmarks-bank": Entry("landmarks.landmark_bank", "draw people and what a landmark network says of them"),
+    "landmarks": Entry("landmarks.landmark_training", "train and write the landmark lift"),
     "lifting-bank": Entry("lifting.lifting_bank", "draw people as joints in two frames"),
     "lifting-fits": Entry("lifting.lifting_fits", "draw fits as joints, for lifting and fusion"),
     "lifting": Entry("lifting.lifting_training", "train and write the lifting network"),

@@ -9,6 +9,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.initialization.landmark_lift import POINTS, LiftedPoints
 from hfb.initialization.landmarks import Landmarks, Region
 from hfb.initialization.pose_bank import bank_rotations
 from hfb.initialization.registration import attach_landmarks, follow_chain, register
@@ -26,7 +27,7 @@ def truth(name: str, yaw: float, place: tuple[float, float, float]) -> FirstBody
     return FirstBody(pose, torch.tensor(place), torch.zeros(10), "truth")
 
 
-def landmarks_of(first: FirstBody) -> Landmarks:
+def landmarks_of(first: FirstBody) -> tuple[Landmarks, LiftedPoints]:
     """What perfect networks would say."""
     shaped = BODY.shape(first.betas)
     joints, turns = follow_chain(shaped.joints, axis_angle_to_matrix(first.pose), first.translation)
@@ -41,7 +42,9 @@ def landmarks_of(first: FirstBody) -> Landmarks:
     hips = (world[23] + world[24]) / 2
     # The network measures along its region's ray: here the region is taken at the picture's centre.
     region = Region(CAMERA.cx, CAMERA.cy, 500.0, 0.0)
-    return Landmarks(pixels, world - hips, seen, 1.0, region, region)
+    middle = points[[POINTS.index("left_hip"), POINTS.index("right_hip")]].mean(0)
+    lifted = LiftedPoints(points - middle, torch.full((len(POINTS), 3), 0.02), middle[2])
+    return Landmarks(pixels, world - hips, seen, 1.0, region, region), lifted
 
 
 def joints_of(first: FirstBody) -> torch.Tensor:
@@ -60,7 +63,7 @@ def joints_of(first: FirstBody) -> torch.Tensor:
 )
 def test_recovers_a_known_body(name: str, yaw: float, place: tuple[float, float, float]) -> None:
     first = truth(name, yaw, place)
-    found = register(landmarks_of(first), CAMERA, BODY)
+    found = register(*landmarks_of(first), CAMERA, BODY)
     error = (joints_of(found) - joints_of(first)).norm(dim=1)
     assert float(error.mean()) < 0.07
     relative = joints_of(found) - joints_of(found)[:1] - joints_of(first) + joints_of(first)[:1]
@@ -70,12 +73,17 @@ def test_recovers_a_known_body(name: str, yaw: float, place: tuple[float, float,
 
 def test_unseen_limbs_stay_natural_and_move_nothing_else() -> None:
     first = truth("stride", 0.7, (0.0, 0.1, 3.5))
-    whole = landmarks_of(first)
+    whole, lifted = landmarks_of(first)
     seen, pixels = whole.visibility.copy(), whole.pixels.copy()
     for index in (13, 15, 25, 27, 29, 31):  # the left elbow, wrist and lower leg are wrong and known to be so
         seen[index] = 0.0
         pixels[index] += 150
-    found = register(dataclasses.replace(whole, visibility=seen, pixels=pixels), CAMERA, BODY)
+    points, scale = lifted.points.clone(), lifted.scale.clone()
+    for name in ("elbow", "wrist", "knee", "ankle", "heel", "foot_index"):
+        points[POINTS.index(f"left_{name}")] += 0.5
+        scale[POINTS.index(f"left_{name}")] = 1.0
+    lifted = dataclasses.replace(lifted, points=points, scale=scale)
+    found = register(dataclasses.replace(whole, visibility=seen, pixels=pixels), lifted, CAMERA, BODY)
     error = (joints_of(found) - joints_of(first)).norm(dim=1)
     others = [0, 1, 2, 3, 5, 6, 8, 9, 12, 15, 16, 17, 19, 21]
     assert float(error[others].mean()) < 0.1
@@ -84,7 +92,7 @@ def test_unseen_limbs_stay_natural_and_move_nothing_else() -> None:
 
 def test_deterministic() -> None:
     seen = landmarks_of(truth("throw", 0.3, (0.1, 0.0, 4.0)))
-    assert torch.equal(register(seen, CAMERA, BODY).pose, register(seen, CAMERA, BODY).pose)
+    assert torch.equal(register(*seen, CAMERA, BODY).pose, register(*seen, CAMERA, BODY).pose)
 
 
 def test_attachments_are_on_the_right_side() -> None:

@@ -12,6 +12,8 @@ from hfb.evidence.depth_fusion import DepthFusion
 from hfb.evidence.joint_network import JointNetwork
 from hfb.evidence.lifting_network import LiftingNetwork
 from hfb.flows.cli.cli import main
+from hfb.initialization.landmark_lift import LandmarkLift
+from hfb.initialization.landmarks import networks_ready
 from hfb.matting.matte_network import MatteNetwork
 from hfb.training import programs
 from hfb.training.joints import blurred_people, joint_fits
@@ -82,6 +84,18 @@ def test_fits_are_drawn_and_learned_from(place: Path, mocap: Path, backgrounds: 
         assert rows["truth"].shape == (1, 2, 3, 24, 3)
     train("matting-fits", *drawn, "--out", place / "mattes.npy", "--count", 1)
     assert np.load(place / "mattes.npy").any()
+
+
+@pytest.mark.skipif(not networks_ready(), reason="the pose networks are not there (hfb models fetch)")
+def test_the_landmark_lift_learns_from_what_the_networks_say(place: Path, mocap: Path, backgrounds: Path) -> None:
+    drawn = ("--mocap", mocap, "--backgrounds", backgrounds, "--frame-px", 192, "--count", 3)
+    train("landmarks-bank", *drawn, "--out", place / "sightings.npz")
+    with np.load(place / "sightings.npz") as rows:
+        assert rows["truth"].shape == (3, 19, 3)
+        assert rows["world"].shape == (3, 33, 3)
+        assert np.isfinite(rows["rays"]).all()
+    train("landmarks", "--bank", place / "sightings.npz", "--out", place / "lift", "--iterations", 2, "--batch", 4)
+    LandmarkLift().load_state_dict(load_file(place / "lift" / "landmark_lift.safetensors"))
 
 
 def test_lifting_and_fusion_learn_from_fits(place: Path, mocap: Path, backgrounds: Path) -> None:

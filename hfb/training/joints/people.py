@@ -22,12 +22,14 @@ INSTANTS = 11
 _MIXED, _BENT, _FROM_BEHIND = 0.6, 0.5, 0.15
 _PARTS = ((9, 12, 15), (13, 16, 18, 20, 22), (14, 17, 19, 21, 23), (1, 4, 7, 10, 2, 5, 8, 11), (3, 6))
 """Head, left arm, right arm, both legs, waist: parts that are exchanged between motions."""
-_BEND_RAD = 0.2
 SECONDS = (0.02, 0.5)
 
 
 class People:
     """Motions and the body; everything drawn from them is a function of the generator."""
+
+    bend_rad = 0.2
+    """Standard deviation of the turns by which joints are offset."""
 
     def __init__(self, mocap: Path, clips: list[str], seed: int, frame_px: int) -> None:
         """Read the named clips.
@@ -65,7 +67,7 @@ class People:
                 if other is not None and rng.random() < 0.5:
                     poses[:, part] = other[0][:, part]
         if rng.random() < _BENT:
-            poses = _bent(poses, rng)
+            poses = _bent(poses, self.bend_rad, rng)
         return (poses[:, MIRROR] * (1, -1, -1), places * (-1, 1, 1)) if rng.random() < 0.5 else (poses, places)
 
     def _view(self, rng: np.random.Generator) -> View:
@@ -141,9 +143,9 @@ def draw_amplitude(rng: np.random.Generator) -> float:
     return float(rng.uniform(0.05, 1.3)) if rng.random() < 0.93 else 0.01
 
 
-def _bent(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _bent(poses: np.ndarray, bend_rad: float, rng: np.random.Generator) -> np.ndarray:
     """Return the motion with every joint offset a little, where anatomy allows."""
-    turns = torch.from_numpy(rng.normal(0, _BEND_RAD, (1, 24, 3)) * (np.arange(24) > 0)[None, :, None]).float()
+    turns = torch.from_numpy(rng.normal(0, bend_rad, (1, 24, 3)) * (np.arange(24) > 0)[None, :, None]).float()
     rotations = axis_angle_to_matrix(torch.from_numpy(poses).float()) @ axis_angle_to_matrix(turns)
     bent = matrix_to_axis_angle(rotations).double().numpy()
     before, after = (
