@@ -35,9 +35,9 @@ _BLOCKS, _DROPPED = 2, 0.3
 _INPUTS = len(POINTS) * 8 + 2
 _INPUT_SCALE, _OUTPUT_SCALE, _DIRECT_SCALE = 3.0, 0.2, 0.1
 _CHOSEN = [LANDMARK[name] for name in POINTS]
-_HIPS = [POINTS.index("left_hip"), POINTS.index("right_hip")]
+HIPS = [POINTS.index("left_hip"), POINTS.index("right_hip")]
 _SHOULDERS = [POINTS.index("left_shoulder"), POINTS.index("right_shoulder")]
-_MIRROR = [POINTS.index(name.replace("left", "-").replace("right", "left").replace("-", "right")) for name in POINTS]
+SWAPPED = [POINTS.index(name.replace("left", "-").replace("right", "left").replace("-", "right")) for name in POINTS]
 _LEAST_DISTANCE_M, _MOST_DISTANCE_M = 0.3, 50.0
 
 
@@ -71,8 +71,8 @@ class Sighting:
             visibility: in [0, 1].
         """
         rays, world = rays[:, _CHOSEN], world[:, _CHOSEN]
-        ray = rays[:, _HIPS].mean(1)
-        world = world - world[:, _HIPS].mean(1, keepdim=True)
+        ray = rays[:, HIPS].mean(1)
+        world = world - world[:, HIPS].mean(1, keepdim=True)
         joints = len(JOINT_POINTS)
         distance = (_spread(world[:, :joints, :2]) / _spread(rays[:, :joints]).clamp_min(1e-6)).clamp(
             _LEAST_DISTANCE_M, _MOST_DISTANCE_M
@@ -84,9 +84,9 @@ class Sighting:
         """Return the mirror image: left and right change places."""
         turned = self.guess.new_tensor([-1.0, 1.0, 1.0])
         return Sighting(
-            self.across[:, _MIRROR] * turned[:2],
-            self.guess[:, _MIRROR] * turned,
-            self.sure[:, _MIRROR],
+            self.across[:, SWAPPED] * turned[:2],
+            self.guess[:, SWAPPED] * turned,
+            self.sure[:, SWAPPED],
             self.ray * turned[:2],
             self.distance_m,
         )
@@ -182,7 +182,7 @@ def lift_landmarks(landmarks: Landmarks, camera: PinholeCamera) -> LiftedPoints:
     with one_torch_thread(), torch.inference_mode():
         points, log_scale = network(seen)
         reflected, _ = network(seen.mirrored())
-        points = (points + reflected[:, _MIRROR] * points.new_tensor([-1.0, 1.0, 1.0])) / 2
+        points = (points + reflected[:, SWAPPED] * points.new_tensor([-1.0, 1.0, 1.0])) / 2
     # inference tensors must not enter a graph
     return LiftedPoints(points[0].clone(), log_scale[0].exp().clone(), seen.distance_m[0])
 

@@ -13,14 +13,13 @@ from hfb.body.skeleton import JOINT_NAMES, PARENTS
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.procrustes import nearest_rotations
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from hfb.initialization.landmark_lift import JOINT_POINTS, POINTS, LiftedPoints
+from hfb.initialization.landmark_lift import HIPS, JOINT_POINTS, POINTS, LiftedPoints
 from hfb.initialization.landmarks import LANDMARK, Landmarks
 from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Float, Int, Tensor
 
 _TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
-_HIPS = [POINTS.index("left_hip"), POINTS.index("right_hip")]
 _LEAST_DEPTH_M = 0.5
 _WIDER, _SPREAD_M = 1.3, (0.025, 0.3)
 """Standard deviation per Laplace scale of a lifted coordinate, and its range: rendered people are easier than real."""
@@ -237,7 +236,8 @@ def _misfit(points: Float[Tensor, "19 3"], camera: PinholeCamera, targets: _Targ
     # Geman-McClure: an invented limb must not drag the whole body along.
     square = ((camera.project(in_front) - targets.pixels) / trunk_px).square().sum(1)
     reprojection = (targets.sure * square / (square + 0.2**2)).sum() * 0.2**2 * 50
-    hips = points[_HIPS].mean(0)
+    hips = points[HIPS].mean(0)
+    # The distance is held here: a smaller body that stands nearer must not look like a better one.
     off = (points - hips - targets.points * (hips[2].detach() / targets.distance_m)) / targets.spread
     mean_square = off.square().mean(1)
     distances = (targets.weights * ((1 + mean_square / _ROBUST).sqrt() - 1)).sum()

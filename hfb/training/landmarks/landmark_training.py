@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from hfb.initialization.landmark_lift import JOINT_POINTS, POINTS, LandmarkLift, Sighting, turned_about_axis
+from hfb.initialization.landmark_lift import HIPS, JOINT_POINTS, SWAPPED, LandmarkLift, Sighting, turned_about_axis
 from hfb.io.array_files import read_arrays
 from hfb.training.flags import add_schedule_flags, file
 from hfb.training.schedule import Schedule, cosine, tell, update_average
@@ -21,7 +21,6 @@ _MOST_ACROSS_M = 0.08
 _COORDINATES = (0.7, 0.7, 1.3)
 _TURN_RAD, _ACROSS_NOISE_M, _GUESS_NOISE_M = 0.12, 0.016, (0.02, 0.02, 0.04)
 _CHECK_EVERY = 500
-_HIPS = [POINTS.index("left_hip"), POINTS.index("right_hip")]
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Lessons:
         parts = [read_arrays(path) for path in paths]
         named = {name: torch.from_numpy(np.concatenate([part[name] for part in parts])).float() for name in parts[0]}
         seen = Sighting.of(named["rays"], named["world"], named["visibility"])
-        hips = named["truth"][:, _HIPS].mean(1)
+        hips = named["truth"][:, HIPS].mean(1)
         truth = (named["truth"] - hips[:, None]) * (seen.distance_m / hips[:, 2])[:, None, None]
         across = (seen.across - truth[..., :2])[:, : len(JOINT_POINTS)].norm(dim=-1).mean(1)
         return Lessons(seen, truth).some(across < _MOST_ACROSS_M)
@@ -57,13 +56,13 @@ class Lessons:
     def varied(self) -> "Lessons":
         """Return each mirrored or not, turned a little in the image, with a little noise."""
         seen, other, count = self.seen, self.seen.mirrored(), len(self.truth)
-        mirror, turned = [_swapped(name) for name in POINTS], torch.tensor([-1.0, 1.0, 1.0])
+        turned = torch.tensor([-1.0, 1.0, 1.0])
         flip = torch.rand(count) < 0.5
         rows = [
             torch.where(flip.view(-1, *[1] * (one.ndim - 1)), two, one)
             for one, two in (
                 *((getattr(seen, name), getattr(other, name)) for name in _FIELDS),
-                (self.truth, self.truth[:, mirror] * turned),
+                (self.truth, self.truth[:, SWAPPED] * turned),
             )
         ]
         across, guess, sure, ray, distance, truth = rows
@@ -156,7 +155,3 @@ def run(options: argparse.Namespace) -> None:
     }
     publish(options.out, "landmark_lift", state, count_parameters(average), about)
     tell(f"{iteration} iterations in {schedule.minutes:.1f} minutes: {options.out / 'landmark_lift.safetensors'}")
-
-
-def _swapped(name: str) -> int:
-    return POINTS.index(name.replace("left", "-").replace("right", "left").replace("-", "right"))
