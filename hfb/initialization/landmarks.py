@@ -5,7 +5,7 @@ and upright direction of the whole body), a second network finds the landmarks i
 image and in metres. The decoding is written from those descriptions. Input images are sRGB.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,7 @@ LANDMARKS = (
     "right_foot_index",
 )
 LANDMARK = {name: index for index, name in enumerate(LANDMARKS)}
+_OTHER_SIDE = [LANDMARK[name.replace("left", "-").replace("right", "left").replace("-", "right")] for name in LANDMARKS]
 
 _DETECTOR_PX, _LANDMARK_PX = 224, 256
 _STRIDES = (8, 16, 32, 32, 32)
@@ -78,6 +79,14 @@ class Region:
     angle: float
     score: float = 1.0
 
+    def mirrored(self, width_px: float) -> "Region":
+        """Return the same square of the mirror image.
+
+        Args:
+            width_px: width of the image [px].
+        """
+        return replace(self, x=width_px - self.x, angle=-self.angle)
+
 
 @dataclass(frozen=True)
 class Landmarks:
@@ -97,6 +106,21 @@ class Landmarks:
     score: float
     region: Region
     next_region: Region
+
+    def mirrored(self, width_px: float) -> "Landmarks":
+        """Return the mirror image: left and right change places.
+
+        Args:
+            width_px: width of the image [px].
+        """
+        return replace(
+            self,
+            pixels=self.pixels[_OTHER_SIDE] * (-1, 1) + (width_px, 0),
+            world=self.world[_OTHER_SIDE] * (-1, 1, 1),
+            visibility=self.visibility[_OTHER_SIDE],
+            region=self.region.mirrored(width_px),
+            next_region=self.next_region.mirrored(width_px),
+        )
 
 
 def networks_ready(choice: LandmarkChoice = "auto") -> bool:

@@ -2,10 +2,12 @@
 
 Blur makes the detector miss and the second network invent limbs, whereas the matte shows where the person is. So
 regions come from the detector and from the matte itself, images are the frame and the person alone on gray, and every
-result is drawn as a stick figure and compared with the matte.
+result is drawn as a stick figure and compared with the matte. The best one is averaged with what the network says of
+the mirror image: its errors of depth differ there.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,6 +20,9 @@ _GRAY = 0.5
 _STICK_FIGURE_PX = 128
 _LEAST_SCORE = 0.5
 _SURE_AGREEMENT = 0.55
+_SAME_PLACE = 0.5
+"""Of the trunk's length: where a point's places in the image and its mirror image are farther apart, one is another
+limb's."""
 # Limbs as (from, to, radius relative to the trunk's length).
 _LIMBS = (
     ("left_shoulder", "left_elbow", 0.10),
@@ -49,7 +54,7 @@ def find_landmarks(
     """
     alone = on_gray(frame_srgb, matte)
     best: tuple[Landmarks, float] | None = None
-    best_value = 0.0
+    best_value, of_picture = 0.0, alone
     for region in _proposals(networks, frame_srgb, alone, matte):
         for picture in (frame_srgb, alone):
             found = networks.locate(picture, region)
@@ -60,10 +65,39 @@ def find_landmarks(
             agreement = stick_agreement(found.pixels, matte)
             value = agreement * (0.5 + 0.5 * found.score)
             if value > best_value:
-                best, best_value = (found, agreement), value
+                best, best_value, of_picture = (found, agreement), value, picture
         if best is not None and best[1] > _SURE_AGREEMENT:
             break
-    return best
+    if best is None:
+        return None
+    both = seen_both_ways(networks, of_picture, best[0])
+    return both, stick_agreement(both.pixels, matte)
+
+
+def seen_both_ways(networks: PoseNetworks, picture: Float[Array, "H W 3"], found: Landmarks) -> Landmarks:
+    """Return the mean of landmarks and of those in the mirror image, in the same region.
+
+    A point whose two places in the image are far apart stays where it was found. All stay where the network sees
+    nobody in the mirror image.
+
+    Args:
+        networks: loaded pose networks.
+        picture: the image in which they were found.
+        found: the landmarks.
+    """
+    width = picture.shape[1]
+    mirror_image = np.ascontiguousarray(picture[:, ::-1])
+    other = networks.locate(mirror_image, found.region.mirrored(width)).mirrored(width)
+    if other.score < _LEAST_SCORE:
+        return found
+    apart = np.linalg.norm(other.pixels - found.pixels, axis=1, keepdims=True)
+    pixels = np.where(apart < _SAME_PLACE * trunk_length(found.pixels), other.pixels, found.pixels)
+    return replace(
+        found,
+        pixels=(found.pixels + pixels) / 2,
+        world=(found.world + other.world) / 2,
+        visibility=(found.visibility + other.visibility) / 2,
+    )
 
 
 def _proposals(

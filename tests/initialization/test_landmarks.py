@@ -1,5 +1,6 @@
 """The networks' decoding, with and without the networks."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,8 @@ from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization import initializer, landmarks
 from hfb.initialization.initializer import make_initializer
-from hfb.initialization.landmarks import LANDMARK, PoseNetworks, Region, cut_region, networks_ready
-from hfb.initialization.person_landmarks import draw_stick_figure, find_landmarks
+from hfb.initialization.landmarks import LANDMARK, Landmarks, PoseNetworks, Region, cut_region, networks_ready
+from hfb.initialization.person_landmarks import draw_stick_figure, find_landmarks, seen_both_ways
 from hfb.initialization.silhouette_fit import matte_level, overlap
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.matting.methods import make_matting
@@ -48,6 +49,66 @@ def test_stick_figure_survives_absurd_points() -> None:
     points = np.random.default_rng(0).normal(0, 1e6, (33, 2))
     assert draw_stick_figure(points, (40, 30)).shape == (40, 30)
     assert draw_stick_figure(np.full((33, 2), 15.0), (40, 30)).sum() > 0
+
+
+def a_standing_person(seed: int) -> Landmarks:
+    """Random places, shoulders a trunk's length of 40 px above the hips."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform(20, 80, (33, 2))
+    for side, x in (("left", 60), ("right", 40)):
+        pixels[LANDMARK[f"{side}_shoulder"]], pixels[LANDMARK[f"{side}_hip"]] = (x, 30), (x, 70)
+    region = Region(50.0, 60.0, 90.0, 0.2)
+    return Landmarks(pixels, rng.normal(0, 0.3, (33, 3)), rng.random(33), 1.0, region, region)
+
+
+def test_mirrored_landmarks_change_sides_and_return() -> None:
+    found = a_standing_person(1)
+    turned = found.mirrored(100)
+    assert np.allclose(turned.pixels[LANDMARK["left_knee"]], [100, 0] + found.pixels[LANDMARK["right_knee"]] * [-1, 1])
+    assert np.allclose(turned.world[LANDMARK["mouth_left"]], found.world[LANDMARK["mouth_right"]] * [-1, 1, 1])
+    assert turned.region == Region(50.0, 60.0, 90.0, -0.2)
+    again = turned.mirrored(100)
+    for name in ("pixels", "world", "visibility"):
+        assert np.allclose(getattr(again, name), getattr(found, name))
+
+
+@pytest.mark.parametrize(("score", "moved"), [(0.9, True), (0.3, False)])
+def test_what_the_mirror_image_shows_counts_half_unless_it_is_another_limb(score: float, moved: bool) -> None:
+    found = a_standing_person(2)
+    beside = found.pixels.copy()
+    beside[LANDMARK["left_wrist"]] += 10, 0
+    beside[LANDMARK["left_ankle"]] += 30, 0  # beyond half the trunk
+    other = replace(found, pixels=beside, world=found.world + 0.1, score=score)
+
+    class Mirror(PoseNetworks):
+        def __init__(self) -> None: ...
+
+        def locate(self, picture_srgb: np.ndarray, region: Region) -> Landmarks:
+            assert region == found.region.mirrored(100)
+            assert picture_srgb[0, 0, 0] == 1
+            return other.mirrored(100)
+
+    picture = np.zeros((100, 100, 3), np.float32)
+    picture[0, -1] = 1
+    both = seen_both_ways(Mirror(), picture, found)
+    expected = found.pixels.copy()
+    expected[LANDMARK["left_wrist"]] += (5, 0) if moved else (0, 0)
+    assert np.allclose(both.pixels, expected)
+    assert np.allclose(both.world, found.world + (0.05 if moved else 0))
+
+
+@needs_networks
+def test_an_image_and_its_mirror_image_give_the_same_person(shared_data: Path) -> None:
+    picture = read_picture_srgb(shared_data / "bodypose3d_walkin" / "f006.png").astype(np.float32)
+    networks, width = PoseNetworks(), picture.shape[1]
+    region = networks.detect(picture)[0]
+    turned = np.ascontiguousarray(picture[:, ::-1])
+    here = networks.locate(picture, region)
+    there = networks.locate(turned, region.mirrored(width))
+    alone = np.abs(there.mirrored(width).world - here.world).max()
+    one, two = seen_both_ways(networks, picture, here), seen_both_ways(networks, turned, there).mirrored(width)
+    assert alone > 0.01
+    assert np.abs(two.world - one.world).max() < 1e-4
 
 
 def test_without_networks_it_says_how_to_get_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
