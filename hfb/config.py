@@ -243,7 +243,8 @@ class FitConfig(Record):
         0.0,
         ge=0,
         le=1,
-        description="share of the lifting network in the joint network's depth, after every stage but the last",
+        description="share of the lifting network in the joint network's depth, after every stage but the last; 0 from "
+        "a pose network's start",
     )
     xy_weight: float = Field(
         1.0,
@@ -257,7 +258,7 @@ class FitConfig(Record):
         ge=0,
         le=1,
         description="share of what the joint network sees to differ between the picture and the fit's own, before "
-        "every stage of the last one's size but a first",
+        "every stage of the last one's size but a first; 0 from a pose network's start",
     )
     fuse_depth: bool = Field(
         False,

@@ -17,6 +17,7 @@ from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.config import FitConfig
 from hfb.evidence.joint_evidence import JointEvidence, predict_joint_evidence
+from hfb.fitting.confidence import start_kind
 from hfb.fitting.variables import Variables
 from hfb.geometry.camera import PinholeCamera
 from hfb.matting.network import RenderConditionedMatting
@@ -39,10 +40,13 @@ class InitialEvidence:
     Attributes:
         observation: the window around the mattes, at full size, with the initial mattes.
         joints: the joint network's prediction; None where no term uses it.
+        corrected: correct the prediction between stages. What corrects it learned from starts with simulated errors:
+            from a pose network's start, fits of real images are better without.
     """
 
     observation: Observation
     joints: JointEvidence | None = None
+    corrected: bool = True
 
     @cached_property
     def mattings(self) -> tuple[RenderConditionedMatting, ...]:
@@ -71,7 +75,11 @@ def predict_initial_evidence(
     window = observation.cropped(*observation.region(square=square))
     weights = base_weights(config, len(first_bodies))
     needed = config.settle > 0 or weights.joints + weights.path + weights.height > 0
-    return InitialEvidence(window, predict_joint_evidence(observation, first_bodies, body) if needed else None)
+    return InitialEvidence(
+        window,
+        predict_joint_evidence(observation, first_bodies, body) if needed else None,
+        corrected="network" not in {start_kind(one.source) for one in first_bodies},
+    )
 
 
 def refine_stage_inputs(
@@ -80,7 +88,8 @@ def refine_stage_inputs(
     """Update the evidence of the objective between two stages.
 
     Joint depth is predicted again from the fit's joints by the lifting network. Before a stage of full size the fit's
-    own image is rendered, and joints and mattes are refined with it.
+    own image is rendered, and joints and mattes are refined with it. Joints stay as predicted where they are not to be
+    corrected.
 
     Args:
         initial: predictions from before the first stage.
@@ -90,14 +99,15 @@ def refine_stage_inputs(
         full_size: the next stage has the last stage's image size.
     """
     joints, seen = initial.joints, objective.observation
-    if joints is not None and config.lifting > 0:
-        joints = joints.lift(variables.joints_at_middle(objective.body), config.lifting)
-    if not full_size or (config.compare == 0 and not config.matte_again):
+    lifting, compare = (config.lifting, config.compare) if initial.corrected else (0.0, 0.0)
+    if joints is not None and lifting > 0:
+        joints = joints.lift(variables.joints_at_middle(objective.body), lifting)
+    if not full_size or (compare == 0 and not config.matte_again):
         return replace(objective, evidence=joints)
     blurred = render_blurred(
         variables, seen.camera, body=objective.body, rasterizer=objective.rasterizer, subframes=objective.subframes
     )
-    if initial.joints is not None and joints is not None and config.compare > 0:
+    if initial.joints is not None and joints is not None and compare > 0:
         joints = refine_evidence(joints, initial.joints, objective, variables=variables, blurred=blurred, config=config)
     if config.matte_again:
         seen = refine_mattes(blurred, initial)

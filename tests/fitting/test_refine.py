@@ -13,7 +13,15 @@ from hfb.config import FitConfig, preset
 from hfb.datasets.synthetic.backgrounds import room_background
 from hfb.datasets.synthetic.textures import clothes_texture
 from hfb.evidence.joint_evidence import predict_joint_evidence
-from hfb.fitting.refine import InitialEvidence, compose_blurred, refine_evidence, refine_mattes, render_blurred
+from hfb.fitting.refine import (
+    InitialEvidence,
+    compose_blurred,
+    predict_initial_evidence,
+    refine_evidence,
+    refine_mattes,
+    refine_stage_inputs,
+    render_blurred,
+)
 from hfb.fitting.variables import Variables, start_variables
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.static_pose import FirstBody
@@ -111,6 +119,20 @@ def test_what_differs_across_the_view_is_moved_by_its_share_and_depth_is_fused()
     assert torch.equal(fused.middle[..., 2], evidence.fuse(again, fitted.joints_at_middle(BODY)).middle[..., 2])
     assert not torch.equal(fused.middle[..., 2], shared.middle[..., 2])
     assert torch.equal(fused.scale, evidence.scale)
+
+
+@pytest.mark.parametrize(("source", "moves"), [("simulated", True), ("matte", True), ("mediapipe", False)])
+@pytest.mark.parametrize("full_size", [False, True])
+def test_joints_are_corrected_from_every_start_but_a_pose_networks(source: str, moves: bool, full_size: bool) -> None:
+    scene = moving_scene(BODY, size_px=96)
+    first = replace(raised_arm(scene), source=source)
+    config = CONFIG.model_copy(update={"matte_again": False})
+    initial = predict_initial_evidence(scene.observation, [first], BODY, config, square=False)
+    assert initial.joints is not None
+    objective = replace(objective_of(initial.observation, first), evidence=initial.joints)
+    again = refine_stage_inputs(initial, objective, at_rest(first, initial.observation), config, full_size=full_size)
+    assert again.evidence is not None
+    assert torch.equal(again.evidence.middle, initial.joints.middle) == (not moves)
 
 
 def test_one_frame_tells_its_height_at_the_first_comparison_alone_and_several_at_each() -> None:
