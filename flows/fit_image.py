@@ -19,7 +19,7 @@ from hfb.tasks.results.result_report import add_report, draw_page_film, write_re
 from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.fit_record import fit_record, record
+from hfb.tasks.tracking.fit_record import record
 from hfb.tasks.tracking.run_record import keep_for_later
 
 
@@ -79,9 +79,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             "report": str(out.resolve() / REPORT) if config.export.report else None,
         }
         files = fit.files() | exports.by_name()
-        of_run = fit_record(
-            inputs=inputs, config=config, fit=fit.fitted, scores=fit.scores, published=files, result=result
-        )
+        of_run = fit.record(files, result)
         try:
             run = record(of_run, files)
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
