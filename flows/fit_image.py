@@ -15,7 +15,7 @@ from hfb.tasks.chains.image_chain import fit_images
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
 from hfb.tasks.results.exports import export_motion
-from hfb.tasks.results.result_report import add_report, draw_page_film, write_report
+from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, write_report
 from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -90,7 +90,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
                 "when MLflow is back"
             )
         if config.export.report:
-            parts = fit.report_parts(draw_page_film(fit.shot, folder))
+            parts = ReportParts.among(files, draw_page_film(fit.shot, folder), inputs.body)
             files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)

@@ -19,7 +19,7 @@ from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import with_height
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.results.exports import export_motion
-from hfb.tasks.results.result_report import add_report, draw_page_film, write_report
+from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, write_report
 from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.tracking.video_record import ClipRecord
 from hfb.tasks.workers.engine import Engine
@@ -80,7 +80,8 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         else:
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
         if config.export.report:
-            files[REPORT] = write_report(fit.report_parts(draw_page_film(fit.shot, folder)), result, folder)
+            parts = ReportParts.among(files, draw_page_film(fit.shot, folder), inputs.body)
+            files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
         return result

@@ -20,7 +20,7 @@ from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
 from hfb.tasks.results.exports import ShotHandle
-from hfb.tasks.results.result_report import ReportParts, clip_curves
+from hfb.tasks.results.result_report import clip_curves
 from hfb.tasks.tracking.run_record import RunRecord
 from hfb.tasks.tracking.video_record import clip_record
 from hfb.tasks.video.video_look import draw_texture
@@ -75,21 +75,6 @@ class ClipFit:
             "texture.png": self.texture,
             "strip.png": self.strip,
         }
-
-    def report_parts(self, film: FileHandle | None) -> ReportParts:
-        """Return the files that the result's page consists of.
-
-        Args:
-            film: the page's small film, if there is one.
-        """
-        return ReportParts(
-            motion=self.joined.motion,
-            curves=self.curves,
-            body=self.inputs.body,
-            texture=self.texture,
-            strip=self.strip,
-            film=film,
-        )
 
     def facts(self) -> dict[str, Any]:
         """Return result.json but for the result's place: scores, gaps, inputs and options."""

@@ -30,7 +30,7 @@ from hfb.tasks.image.prepare import prepare
 from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes
 from hfb.tasks.results.exports import ShotHandle
-from hfb.tasks.results.result_report import ReportParts, fit_curves
+from hfb.tasks.results.result_report import fit_curves
 from hfb.tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking.fit_record import fit_record
@@ -101,23 +101,6 @@ class ImageFit:
             CURVES: self.curves,
             **{f"matte_{index}.png": one for index, one in enumerate(fitted.mattes)},
         }
-
-    def report_parts(self, film: FileHandle | None) -> ReportParts:
-        """Return the files that the result's page consists of.
-
-        Args:
-            film: the page's small film, if there is one.
-        """
-        fitted = self.fitted
-        return ReportParts(
-            motion=fitted.motion,
-            curves=self.curves,
-            body=self.inputs.body,
-            texture=fitted.texture_image,
-            strip=self.strip,
-            alternatives=fitted.alternatives,
-            film=film,
-        )
 
     def facts(self) -> dict[str, Any]:
         """Return result.json but for the result's place: scores, times, inputs and options."""

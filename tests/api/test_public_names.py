@@ -14,6 +14,7 @@ SIGNATURES = {
     "first_body": "(frame, background, *, init=None, matting=None, clip=None, config=None, **options)",
     "fit": "(frames, background, *, init=None, matting=None, prior=None, extra_terms=None, clip=None, config=None, "
     "on_progress=None, **options)",
+    "fit_clip": "(video, /, background=None, *, clip=None, config=None, on_progress=None, **options)",
     "load_body": "(model=None)",
     "load_result": "(folder)",
     "matte": "(frame, background, *, matting=None, clip=None, config=None, **options)",
@@ -22,8 +23,8 @@ SIGNATURES = {
 """A change here is a change for everyone who uses hfb as a library: it belongs into CHANGELOG.md."""
 
 RESULT = {
-    "alternatives", "betas", "betas_space", "body", "export", "facts", "frame_index", "joints", "mattes", "motion",
-    "poses", "radii_mm", "report", "save", "show", "texture_linear", "times_s", "trans", "warnings",
+    "alternatives", "betas", "betas_space", "body", "export", "facts", "frame_index", "gaps", "joints", "mattes",
+    "missed", "motion", "poses", "radii_mm", "report", "save", "show", "texture_linear", "times_s", "trans", "warnings",
 }  # fmt: skip
 
 CLASSES = {
@@ -46,7 +47,7 @@ def test_the_names_and_signatures() -> None:
     assert all(inspect.isclass(getattr(hfb, name)) for name in CLASSES)
     assert set(hfb.__all__) <= set(dir(hfb))
     names = {name for name in dir(hfb.Result) if not name.startswith("_")}
-    assert names | set(inspect.signature(hfb.Result).parameters) - {"_files", "_folder", "_fit"} == RESULT
+    assert names | set(inspect.signature(hfb.Result).parameters) - {"_files", "_folder", "_fit", "_lacks"} == RESULT
 
 
 def _plain(function: object) -> str:
