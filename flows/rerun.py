@@ -34,7 +34,7 @@ from hfb.tasks.results.workspace import INTERMEDIATE
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.hidden_options import with_options
-from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
+from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs, to_recipe
 from hfb.tasks.tracking.run_record import read_kept
 
 MOTION = "motion.npz"
@@ -84,7 +84,7 @@ def plan_rerun(
             given, or the folder holds something already.
     """
     if (Path(words) / RECORD).is_file():  # nobody has recorded this result yet
-        _check_whole(Recipe.model_validate(read_kept(Path(words)).contents[RECIPE]), words)
+        _check_whole(to_recipe(read_kept(Path(words)).contents.get(RECIPE), words), words)
         progress.say(f"hfb: {words} is recorded in MLflow first")
         record_folder(Path(words))
     run = find_run(words)

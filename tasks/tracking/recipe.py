@@ -106,6 +106,16 @@ def read_recipe(path: Path, run: str) -> Recipe:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"the recipe of run {run} is damaged ({error}); repeat the run's own command") from None
+    return to_recipe(content, run)
+
+
+def to_recipe(content: object, run: str) -> Recipe:
+    """Return a recipe of plain content; arguments and errors as of `read_recipe`.
+
+    Args:
+        content: of the file.
+        run: its title, for messages.
+    """
     if not isinstance(content, dict) or content.get("format") != 1:
         raise InputError(f"the recipe of run {run} is of another version of hfb: check that version out to repeat it")
     return to_record(Recipe, content, f"the recipe of run {run}")
