@@ -79,9 +79,10 @@ result.save("saved")
 hfb.load_result("saved").report()
 result.export("glb", "amass", "bvh", "csv", "trc")
 result.show()
-short = [{"size_px": 32, "iterations": 1}]
+from PIL import Image
+short, frame = [{"size_px": 32, "iterations": 1}], Image.open(sys.argv[1])
 clip = hfb.fit_clip(
-    [sys.argv[1]] * 2, sys.argv[2], init="matte", stages=short, subframes=2, texture_px=16, settle=0, both_fronts=False,
+    [frame, frame], sys.argv[2], init="matte", stages=short, subframes=2, texture_px=16, settle=0, both_fronts=False,
     video={"stages": short, "settle": 0, "person_windows": 1},
 )
 clip.save("clip")
@@ -92,7 +93,7 @@ print(sorted({"prefect", "mlflow", "rich", "hfb.flows"} & sys.modules.keys()))
 
 @pytest.mark.integration
 def test_nothing_of_prefect_and_mlflow_is_needed(problem, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Where they do not even exist a fit and a clip run, are saved, read, exported and shown; the import itself loads nothing."""
+    """Where they do not even exist fits run, are saved, read, exported and shown; the import itself loads nothing."""
     words = [sys.executable, "-W", "error::ResourceWarning", "-c", PROGRAM, str(problem.frame), str(problem.background)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
