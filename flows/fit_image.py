@@ -15,11 +15,11 @@ from hfb.tasks.chains.image_chain import fit_images
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
 from hfb.tasks.results.exports import export_motion
-from hfb.tasks.results.result_report import add_report, draw_page_film, write_report
+from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, write_report
 from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.fit_record import fit_record, record
+from hfb.tasks.tracking.fit_record import record
 from hfb.tasks.tracking.run_record import keep_for_later
 
 
@@ -79,9 +79,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             "report": str(out.resolve() / REPORT) if config.export.report else None,
         }
         files = fit.files() | exports.by_name()
-        of_run = fit_record(
-            inputs=inputs, config=config, fit=fit.fitted, scores=fit.scores, published=files, result=result
-        )
+        of_run = fit.record(files, result)
         try:
             run = record(of_run, files)
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
@@ -92,7 +90,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
                 "when MLflow is back"
             )
         if config.export.report:
-            parts = fit.report_parts(draw_page_film(fit.shot, folder))
+            parts = ReportParts.among(files, draw_page_film(fit.shot, folder), inputs.body)
             files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)

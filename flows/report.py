@@ -17,15 +17,14 @@ from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.inputs.inputs import input_file
 from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
-from hfb.tasks.results.result_report import ReportParts, shows_another_motion, write_page, write_page_film
+from hfb.tasks.results.result_report import PAGE_FILES, ReportParts, shows_another_motion, write_page, write_page_film
 from hfb.tasks.results.stored_runs import StoredRun, find_run
 from hfb.tasks.results.workspace import INTERMEDIATE, beside_result, check_writable
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.store_place import check_store, tracking_uri
 
-_OTHERS = {"texture": TEXTURE, "strip": "strip.png", "alternatives": "alternatives.npz"}
-_FETCHED = (RESULT, CURVES, *_OTHERS.values(), FILM_NAMES["slowmotion"])
+_FETCHED = (RESULT, CURVES, *PAGE_FILES.values(), FILM_NAMES["slowmotion"])
 _HISTORY = "history.json"  # what results left before there was a curves.json
 _INNER = (f"{INTERMEDIATE}/{_HISTORY}", f"{INTERMEDIATE}/{PAGE_FILM}")
 _LARGEST_FILM_BYTES = 16 << 20
@@ -98,13 +97,9 @@ def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
         known = {"losses": read_json(history)} if history.is_file() else {}
         curves = made / CURVES
         write_bytes_atomic(curves, json.dumps(known).encode())
-    others = {part: input_file(folder / name) for part, name in _OTHERS.items() if (folder / name).exists()}
-    return ReportParts(
-        motion=FileHandle.of(place.motion),
-        curves=input_file(curves),
-        film=FileHandle.of(film) if film else None,
-        **others,
-    )
+    others = {name: input_file(folder / name) for name in PAGE_FILES.values() if (folder / name).exists()}
+    files = {"motion.npz": FileHandle.of(place.motion), CURVES: input_file(curves), **others}
+    return ReportParts.among(files, FileHandle.of(film) if film else None)
 
 
 def _film(

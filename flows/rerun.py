@@ -15,7 +15,9 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import motion_difference
 from hfb.flows.fit_image import fit_image_again
+from hfb.flows.record import record_folder
 from hfb.flows.video import run_video
+from hfb.interop.writers.export_names import RECORD
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.networks.mediapipe_files import LandmarkChoice
@@ -32,7 +34,8 @@ from hfb.tasks.results.workspace import INTERMEDIATE
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.hidden_options import with_options
-from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
+from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs, to_recipe
+from hfb.tasks.tracking.run_record import read_kept
 
 MOTION = "motion.npz"
 VERDICT = "rerun.json"
@@ -80,6 +83,10 @@ def plan_rerun(
         InputError: there is no such run, it cannot be repeated, an input is gone or was changed, a hidden option is not
             given, or the folder holds something already.
     """
+    if (Path(words) / RECORD).is_file():  # nobody has recorded this result yet
+        _check_whole(to_recipe(read_kept(Path(words)).contents.get(RECIPE), words), words)
+        progress.say(f"hfb: {words} is recorded in MLflow first")
+        record_folder(Path(words))
     run = find_run(words)
     if run.tags.get(COMMAND_TAG) is None:
         raise InputError(
@@ -95,6 +102,7 @@ def plan_rerun(
         if path is None:
             raise InputError(f"the recipe of run {run.title} is gone from the store: run its own command again")
         recipe = with_options(read_recipe(path, run.title), options or {}, run.title)
+    _check_whole(recipe, f"run {run.title}")
     fetched = recipe_config(recipe, {}, run.title).init.method in _FETCHED_NETWORKS
     with progress.step("inputs"):
         files = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
@@ -122,6 +130,12 @@ def repeat(plan: Plan) -> dict[str, Any]:
     write_bytes_atomic(plan.out / VERDICT, json.dumps(verdict, indent=2, allow_nan=False).encode() + b"\n")
     _record(verdict)
     return verdict
+
+
+def _check_whole(recipe: Recipe, what: str) -> None:
+    """Raise InputError if the run was made of something that no file holds."""
+    if recipe.lacks:
+        raise InputError(f"{what} cannot be repeated by a command, since {' and '.join(recipe.lacks)}: repeat its call")
 
 
 def _chain(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,28 +11,21 @@ from typing import Any
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import RunConfig
-from hfb.fitting.confidence import radius_condition
-from hfb.flows.clip_scores import draw, score, warn
-from hfb.flows.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
-from hfb.flows.runtime.failures import ask_server, explain_failures
+from hfb.flows.runtime.failures import ServerWatch, ask_server, explain_failures
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
-from hfb.tasks.core.environment import code_version
-from hfb.tasks.core.handles import FileHandle
+from hfb.interop.writers.export_names import RECORD, REPORT
+from hfb.tasks.chains.clip_chain import fit_clip
 from hfb.tasks.core.result_records import records_in
-from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
 from hfb.tasks.inputs.inputs import with_height
-from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
+from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.results.exports import export_motion
-from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves, draw_page_film, write_report
+from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, write_report
 from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.tracking.video_record import ClipRecord
-from hfb.tasks.video.video_look import draw_texture
 from hfb.tasks.workers.engine import Engine
 from hfb.tasks.workers.workers import busy_share, worker_count, workers
 
 _SPARE_THREADS = 2  # tasks that are being checked and looked up while all workers compute
-_SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0
 
 
 def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
@@ -71,31 +63,16 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
     began = time.perf_counter()
     record = ClipRecord(out.resolve().name, inputs, config)
     try:
-        scene = see(inputs, config, folder)
-        bodies = find_first_bodies(scene)
-        fitted = fit_windows(scene, bodies, lambda frames, loss: record.frames("fit/loss", dict.fromkeys(frames, loss)))
-        joined = join(scene, fitted)
-        record.frames("frame/seen", _seen(bodies, joined))
-        scores = score(scene, fitted, joined)
-        for name, values in scores.items():
-            record.frames(f"eval/{name}", values)
-        warnings = warn(scene, fitted, joined, scores.get("matte_iou", {}))
-        texture = draw_texture(scene.footage.light, fitted.person, folder)
-        shot = scene.shot(joined.motion, fitted.person)
-        exports = export_motion(shot, texture, config.export, folder)
-        curves = clip_curves(fitted.windows, _pairs(scores), folder)
-        files: dict[str, FileHandle] = {
-            "motion.npz": joined.motion,
-            CURVES: curves,
-            "edges.json": joined.edges,
-            "texture.png": texture,
-            "strip.png": draw(scene, fitted, joined),
-            **exports.by_name(),
+        fit = fit_clip(inputs, config, folder, look=ServerWatch().look, on_values=record.frames)
+        exports = export_motion(fit.shot, fit.texture, config.export, folder)
+        files = fit.files() | exports.by_name()
+        result = fit.facts() | {
+            "seconds": round(time.perf_counter() - began, 3),
+            "workers_busy": busy_share(),
+            "out": str(out.resolve()),
+            "strip": str(out.resolve() / "strip.png"),
+            "report": str(out.resolve() / REPORT) if config.export.report else None,
         }
-        result = _result(scene=scene, bodies=bodies, fitted=fitted, joined=joined, scores=scores, out=out)
-        result["warnings"] = [one.model_dump(mode="json") for one in warnings]
-        result["seconds"] = round(time.perf_counter() - began, 3)
-        result["workers_busy"] = busy_share()
         ask_server()  # a run that cannot end must not be recorded as finished
         place = record.finish(files, result)
         if place is None:
@@ -103,15 +80,8 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         else:
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
         if config.export.report:
-            made_of = ReportParts(
-                motion=joined.motion,
-                curves=curves,
-                body=inputs.body,
-                texture=texture,
-                strip=files["strip.png"],
-                film=draw_page_film(shot, folder),
-            )
-            files[REPORT] = write_report(made_of, result, folder)
+            parts = ReportParts.among(files, draw_page_film(fit.shot, folder), inputs.body)
+            files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
         return result
@@ -121,64 +91,6 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
     except BaseException:  # Ctrl-C, SIGTERM
         record.stop("KILLED")
         raise
-
-
-def _seen(bodies: ClipBodiesHandle, joined: JoinedHandle) -> dict[int, float]:
-    """Return per frame of the clip whether it was seen (1), filled from its neighbours (0.5), or a gap (0)."""
-    filled = {number for number, made in enumerate(bodies.filled) if made} | set(joined.bridged)
-    pairs = enumerate(bodies.usable)
-    return {number: _FILLED if number in filled else _SEEN if usable else _GAP for number, usable in pairs}
-
-
-def _result(
-    *,
-    scene: Scene,
-    bodies: ClipBodiesHandle,
-    fitted: Fitted,
-    joined: JoinedHandle,
-    scores: Mapping[str, Mapping[int, float]],
-    out: Path,
-) -> dict[str, Any]:
-    """Return result.json: scores, places of files, inputs and options."""
-    footage = scene.footage
-    return {
-        "frames": footage.count,
-        "sub_frames": joined.rows,
-        "gaps": [list(gap) for gap in joined.gaps],
-        "filled": sorted({number for number, filled in enumerate(bodies.filled) if filled} | set(joined.bridged)),
-        "windows": len(fitted.windows),
-        "resumed_frames": len(fitted.resumed),
-        "fronts": [{"segment": segment, **front.model_dump()} for segment, front in fitted.fronts.items()],
-        **{name: _mean(values) for name, values in scores.items()},
-        "confidence": radius_condition([first.source for first in bodies.firsts if first is not None]),
-        "worst_jump_mm": joined.worst_jump_mm,
-        "worst_velocity_share": joined.worst_velocity_share,
-        "out": str(out.resolve()),
-        "strip": str(out.resolve() / "strip.png"),
-        "report": str(out.resolve() / REPORT) if scene.config.export.report else None,
-        "mlflow_run_id": None,
-        "mlflow_link": None,
-        "pose_networks": [file.path.name for file in scene.inputs.networks],
-        "background": scene.plate.source,
-        "exposure_gain": [list(frame.gain) for frame in scene.frames],
-        "remarks": list(footage.remarks),
-        "inputs": video_hashes(scene.inputs),
-        "config": scene.config.model_dump(mode="json"),
-        "code": code_version(),
-    }
-
-
-def _pairs(scores: Mapping[str, Mapping[int, float]]) -> dict[str, tuple[tuple[int, float], ...]]:
-    """Return the known scores as (frame, value) pairs."""
-    return {
-        name: tuple((number, value) for number, value in sorted(values.items()) if math.isfinite(value))
-        for name, values in scores.items()
-    }
-
-
-def _mean(values: Mapping[int, float]) -> float | None:
-    finite = [value for value in values.values() if math.isfinite(value)]
-    return sum(finite) / len(finite) if finite else None
 
 
 @contextmanager

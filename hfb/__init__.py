@@ -7,6 +7,7 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # type checkers take it for true; importing typing would cost more than all the rest
 if TYPE_CHECKING:
+    from hfb.api.fit_clips import fit_clip as fit_clip
     from hfb.api.fit_images import first_body as first_body
     from hfb.api.fit_images import fit as fit
     from hfb.api.fit_images import matte as matte
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "api.fit_clips": ("fit_clip",),
     "api.fit_images": ("first_body", "fit", "matte"),
     "api.result": ("Result", "load_result"),
     "api.seeing": ("compose", "evaluate", "load_body", "render"),

@@ -11,20 +11,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
-
-import prefect
-from prefect.cache_policies import NO_CACHE
-from prefect.futures import PrefectFuture
-from prefect.results import get_result_store
-from prefect.states import Completed, State
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from hfb.tasks.core.handles import Call
-from hfb.tasks.task import CachedResult, Task
+from hfb.tasks.task import CachedResult, Task, is_bare
 from hfb.tasks.telemetry import progress
 from hfb.tasks.workers.engine import Stopped
 from hfb.tasks.workers.workers import measure_utilisation, remote, stop_computing, worker_count
+
+if TYPE_CHECKING:
+    from prefect.futures import PrefectFuture
+    from prefect.states import State
 
 C = TypeVar("C", bound=Call)
 R = TypeVar("R")
@@ -125,15 +124,17 @@ def map_task(
     outcomes: list[Outcome[R]] = []
     waiting: deque[Chunk[C, R]] = deque()
     n_workers = worker_count() + _SPARE
-    remaining: Iterator[Chunk[C, R]] = split_calls(label, calls, n_workers, _batch_size(task, calls))
-    step = _chunk_step(task)
+    # Without Prefect chunks of one call, each computed when its turn comes.
+    at_once, n_parts = (1, len(calls)) if is_bare() else (_AHEAD * n_workers, n_workers)
+    remaining: Iterator[Chunk[C, R]] = split_calls(label, calls, n_parts, _batch_size(task, calls))
+    submit = _submitter(task)
     with progress.step(label) as shown, measure_utilisation():
         began, reused = time.monotonic(), 0
         progress.advance(0, len(calls))
         try:
             while len(outcomes) < len(calls):
-                while len(waiting) < _AHEAD * n_workers and (chunk := next(remaining, None)) is not None:
-                    _submit(step, chunk)
+                while len(waiting) < at_once and (chunk := next(remaining, None)) is not None:
+                    submit(chunk)
                     waiting.append(chunk)
                 before = len(outcomes)
                 for result in waiting[0].results:
@@ -151,6 +152,35 @@ def map_task(
             raise
         shown.reused = bool(calls) and reused == len(calls)
     return outcomes
+
+
+def require_all(
+    task: Task[[C], R],
+    calls: Sequence[C],
+    label: str,
+    look: Callable[[], None],
+    *,
+    on_outcome: Callable[[int, Outcome[R]], None] | None = None,
+) -> list[R]:
+    """Return all results in order; the first failure stops the rest.
+
+    Args:
+        task: of one record.
+        calls: the records.
+        label: displayed while they run.
+        look: called after each result; what it raises ends the rest.
+        on_outcome: called with the number and outcome of each call, in order.
+    """
+
+    def watched(index: int, outcome: Outcome[R]) -> None:
+        if outcome.error is not None:
+            raise outcome.error
+        look()
+        if on_outcome is not None:
+            on_outcome(index, outcome)
+
+    outcomes = map_task(task, calls, label, watched)
+    return [outcome.result for outcome in outcomes if outcome.result is not None]
 
 
 def split_calls(label: str, calls: Sequence[C], n_workers: int, batch_size: int = 1) -> Iterator[Chunk[C, Any]]:
@@ -181,8 +211,7 @@ def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
     """
     if _batch_size(task, calls) < 2:
         return {}
-    records = get_result_store()
-    fresh = [number for number, call in enumerate(calls) if not records.exists(task.key(call))]
+    fresh = [number for number, call in enumerate(calls) if not task.is_kept(call)]
     if len(fresh) < 2:
         return {}
     try:
@@ -194,8 +223,18 @@ def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
         return {}
 
 
-def _chunk_step(task: Task[..., R]) -> Any:
-    """Return a Prefect task that runs a chunk."""
+def _submitter(task: Task[..., R]) -> Callable[[Chunk[Any, R]], None]:
+    """Return a function that starts a chunk as a run of a Prefect task; without Prefect it computes the chunk."""
+
+    def compute(chunk: Chunk[Any, R]) -> None:
+        with suppress(Exception):  # it is the outcome of its call
+            chunk.run(task)
+
+    if is_bare():
+        return compute
+    import prefect
+    from prefect.cache_policies import NO_CACHE
+    from prefect.states import Completed
 
     def run_chunk(chunk: Chunk[Any, R]) -> State[Any] | None:
         return Completed(name="Cached") if chunk.run(task) else None
@@ -203,7 +242,8 @@ def _chunk_step(task: Task[..., R]) -> Any:
     decorate: Any = prefect.task(
         name=task.name, task_run_name="{chunk}", cache_policy=NO_CACHE, result_serializer="json"
     )
-    return decorate(run_chunk)
+    step = decorate(run_chunk)
+    return lambda chunk: _submit(step, chunk)
 
 
 def _submit(step: Any, chunk: Chunk[Any, Any]) -> None:

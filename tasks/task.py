@@ -59,6 +59,11 @@ def without_prefect() -> Iterator[None]:
         _bare.reset(token)
 
 
+def is_bare() -> bool:
+    """Return whether tasks run as plain functions."""
+    return _bare.get()
+
+
 @dataclass(frozen=True)
 class BatchFunction:
     """Several calls of a task as one computation, where that is faster than one after another.
@@ -133,7 +138,7 @@ class Task(Generic[P, R]):
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the task, or return the cached result of an earlier run with the same inputs, options and code."""
         with progress.step(self._label) as shown:
-            if _bare.get():
+            if is_bare():
                 return self.run(*args, **kwargs)
             state = self._step(*args, **kwargs, return_state=True)
             result = state.result()
@@ -186,6 +191,8 @@ class Task(Generic[P, R]):
             call: the one argument of a mapped task.
             ahead: the call's result, where it was computed in a batch.
         """
+        if is_bare():
+            return CachedResult(self.run(call) if ahead is None else ahead, False)  # type: ignore[call-arg]
         from prefect.results import get_result_store
 
         key, records = self.key(call), get_result_store()
@@ -205,6 +212,18 @@ class Task(Generic[P, R]):
                 result, reused = made(), False
                 verify(result)
         return CachedResult(result, reused)
+
+    def is_kept(self, call: Any) -> bool:
+        """Return whether a call's result is cached.
+
+        Args:
+            call: the one argument of a mapped task.
+        """
+        if is_bare():
+            return False
+        from prefect.results import get_result_store
+
+        return get_result_store().exists(self.key(call))
 
     def _arguments(self, call: Any) -> dict[str, Any]:
         (name,) = inspect.signature(self.fn).parameters

@@ -1,7 +1,7 @@
 """Options of a call in Python: the command line's names as keyword arguments, checked by the same records."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -20,20 +20,22 @@ _METHODS: Mapping[str, tuple[type[InitConfig | MattingConfig | PriorConfig], str
 """Section -> its record, the entry that a known word sets, and the one that any other word or a path sets."""
 
 
-def config_of(options: Mapping[str, object], file: str | Path | None = None) -> RunConfig:
-    """Return all options of a fit of single frames.
+def config_of(options: Mapping[str, object], file: str | Path | None = None, *, clip: bool = False) -> RunConfig:
+    """Return all options of a fit.
 
     Args:
         options: by name: ``preset``, ``seed``, an entry of any section by its own name (``height_m``), or a section
             as a mapping (``fit={"subframes": 4}``); dotted names as on the command line are understood, too.
         file: a TOML file of options, over which the others win.
+        clip: whether options of clips count.
 
     Raises:
         InputError: a name is unknown or means several options, or a value is impossible.
     """
     given: dict[str, Any] = {}
+    sections = (*_OF_FRAMES, "video") if clip else _OF_FRAMES
     for name, value in options.items():
-        given = merged(given, _nested(_full_name(name), value))
+        given = merged(given, _nested(_full_name(name, sections), value))
     from_file = check_options(read_toml(Path(file)), str(file)) if file is not None else {}
     return complete_options(check_options(given, "options"), from_file)
 
@@ -53,23 +55,19 @@ def _nested(name: str, value: object) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _full_name(name: str) -> str:
+def _full_name(name: str, sections: Sequence[str]) -> str:
     """Return the dotted name of an option: of several of one name, the fit's."""
-    own = {"preset", "seed", *_OF_FRAMES}
-    if name in own or name.partition(".")[0] in _OF_FRAMES:
+    own = {"preset", "seed", *sections}
+    if name in own or name.partition(".")[0] in sections:
         return name
     if name in _SHORT:
         return _SHORT[name]
-    found = [section for section, names in _entries().items() if name in names]
+    entries = {section: list(type(getattr(RunConfig(), section)).model_fields) for section in sections}
+    found = [section for section, names in entries.items() if name in names]
     if found[:1] == ["fit"] or len(found) == 1:
         return f"{found[0]}.{name}"
     if found:
         raise InputError(f"the option {name} is one of {' and '.join(found)}: say which, such as {found[0]}=...")
-    known = [*own, *_SHORT, *(entry for names in _entries().values() for entry in names)]
+    known = [*own, *_SHORT, *(entry for names in entries.values() for entry in names)]
     close = difflib.get_close_matches(name, known, n=2)
     raise InputError(f"unknown option {name}" + (f"; did you mean {' or '.join(close)}?" if close else ""))
-
-
-def _entries() -> dict[str, list[str]]:
-    """Return the names of each section's options; the fit's come first."""
-    return {section: list(type(getattr(RunConfig(), section)).model_fields) for section in _OF_FRAMES}

@@ -1,45 +1,23 @@
 """`hfb.fit`, `hfb.matte` and `hfb.first_body`: the steps of the command `hfb fit` as functions, without a server."""
 
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
 
 from hfb.api.call_options import config_of
-from hfb.api.given_images import Image, errors_of_calls, image_files
+from hfb.api.given_images import Image, image_file, image_files
 from hfb.api.own_parts import TermFunction, own_parts
+from hfb.api.private_call import Progress, in_memory, options_of, private_call
 from hfb.api.result import Result, result_of
 from hfb.config import RunConfig
-from hfb.errors import InputError
 from hfb.initialization.initializer import Initializer
 from hfb.io.media.images.image_io import read_matte
-from hfb.kernels.determinism import one_torch_thread
 from hfb.matting.matting_protocol import Matting
 from hfb.motion.static_pose import FirstBody, load_first_body
 from hfb.priors.pose import PosePrior
 from hfb.tasks.chains.image_chain import OwnParts, find_first_bodies, see_images
 from hfb.tasks.chains.image_chain import fit_images as run_chain
 from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
-from hfb.tasks.task import without_prefect
-from hfb.tasks.telemetry import progress
 from hfb.typing import Array, Float
-
-Progress: TypeAlias = Callable[[str, int, int | None], object]
-
-
-class _Told(progress.Display):
-    """Passes the progress of steps to a function of the caller's."""
-
-    def __init__(self, function: Progress) -> None:
-        self._function = function
-
-    def update(self, shown: progress.Shown) -> None:
-        """See `Display`."""
-        self._function(shown.label, shown.done, shown.total)
-
-    begin = update
 
 
 def fit(
@@ -79,10 +57,10 @@ def fit(
         InputError: an input cannot be used; the sentence names the fix.
     """
     own = own_parts(matting, init, prior, extra_terms)
-    options = {**options, **_options(init=init, matting=matting, prior=prior)}
-    shown = progress.showing(_Told(on_progress)) if on_progress else nullcontext()
-    with shown, _taken(frames, background, options, clip=clip, config=config, keep=True) as (inputs, chosen, folder):
-        return result_of(run_chain(inputs, chosen, folder, own), folder)
+    options = {**options, **options_of(init=init, matting=matting, prior=prior)}
+    with private_call(on_progress, keep=True) as folder:
+        inputs, chosen, lacks = _take(frames, background, options, folder, clip=clip, config=config)
+        return result_of(run_chain(inputs, chosen, folder, own), folder, lacks)
 
 
 def matte(
@@ -107,8 +85,9 @@ def matte(
     Raises:
         InputError: frame and plate do not match, or no person is found.
     """
-    options = {**options, **_options(matting=matting)}
-    with _taken(frame, background, options, clip=clip, config=config) as (inputs, chosen, folder):
+    options = {**options, **options_of(matting=matting)}
+    with private_call() as folder:
+        inputs, chosen, _ = _take(frame, background, options, folder, clip=clip, config=config)
         _, (found,) = see_images(inputs, chosen, folder, OwnParts())
         return read_matte(found.path)
 
@@ -138,44 +117,25 @@ def first_body(
         InputError: no person is found.
     """
     own = own_parts(matting, None, None, None)
-    options = {**options, **_options(init=init, matting=matting)}
-    with _taken(frame, background, options, clip=clip, config=config) as (inputs, chosen, folder):
+    options = {**options, **options_of(init=init, matting=matting)}
+    with private_call() as folder:
+        inputs, chosen, _ = _take(frame, background, options, folder, clip=clip, config=config)
         scene, mattes = see_images(inputs, chosen, folder, own)
         (found,) = find_first_bodies(scene, mattes, inputs=inputs, config=chosen, folder=folder, own=own)
         return load_first_body(found.path)
 
 
-def _options(**given: object) -> dict[str, object]:
-    """Return those that are options: neither missing nor a function."""
-    return {name: value for name, value in given.items() if value is not None and not callable(value)}
-
-
-@contextmanager
-def _taken(
-    frames: Any,
+def _take(
+    frames: Image | Sequence[Image],
     background: Image,
     options: Mapping[str, object],
+    folder: Path,
     *,
     clip: str | Path | None,
     config: str | Path | None,
-    keep: bool = False,
-) -> Iterator[tuple[Inputs, RunConfig, Path]]:
-    """Provide inputs, options and a private folder; tasks run inside the block as plain functions.
-
-    The folder is removed at the end, unless it is to be kept and nothing failed.
-    """
-    folder, kept = Path(tempfile.mkdtemp(prefix="hfb-")).resolve(), False
-    try:
-        with errors_of_calls(folder), one_torch_thread(), without_prefect():
-            chosen = config_of(options, config)
-            paths, plate = image_files(frames, background, folder)
-            inputs = take_inputs(paths, plate, chosen, Path(clip) if clip is not None else None)
-            if inputs.clip.transfer != "srgb" and folder in {one.parent for one in (*paths, plate)}:
-                raise InputError(
-                    f"{clip} says how files store light, and arrays are no files: give paths, or no transfer"
-                )
-            yield inputs, with_height(chosen, inputs.clip), folder
-        kept = keep
-    finally:
-        if not kept:
-            shutil.rmtree(folder, ignore_errors=True)
+) -> tuple[Inputs, RunConfig, tuple[str, ...]]:
+    """Return inputs and options, and what of the inputs is no file."""
+    chosen = config_of(options, config)
+    paths, plate = image_files(frames, folder), image_file(background, "background", folder)
+    inputs = take_inputs(paths, plate, chosen, Path(clip) if clip is not None else None)
+    return inputs, with_height(chosen, inputs.clip), in_memory(inputs, folder)

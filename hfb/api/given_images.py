@@ -23,12 +23,11 @@ Image: TypeAlias = str | os.PathLike[str] | Pillow.Image | Array | Tensor
 _KEPT_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
 
 
-def image_files(frames: Image | Sequence[Image], background: Image, folder: Path) -> tuple[list[Path], Path]:
-    """Return the files of frames and plate.
+def image_files(frames: Image | Sequence[Image], folder: Path) -> list[Path]:
+    """Return the files of frames.
 
     Args:
         frames: one image, or several in their order.
-        background: the plate.
         folder: where images without a file are written.
 
     Raises:
@@ -38,10 +37,20 @@ def image_files(frames: Image | Sequence[Image], background: Image, folder: Path
     several: list[object] = [frames] if alone else list(cast(Sequence[Image], frames))
     if not several:
         raise InputError("there are no frames: give at least one")
-    return [_file(one, f"frame_{n}", folder) for n, one in enumerate(several)], _file(background, "background", folder)
+    return [image_file(one, f"frame_{n}", folder) for n, one in enumerate(several)]
 
 
-def _file(image: object, name: str, folder: Path) -> Path:
+def image_file(image: object, name: str, folder: Path) -> Path:
+    """Return the file of an image.
+
+    Args:
+        image: as of `Image`.
+        name: of the image, for errors.
+        folder: where an image without a file is written.
+
+    Raises:
+        InputError: it is of another type, shape or range.
+    """
     if isinstance(image, str | os.PathLike):
         return Path(image)
     path = folder / f"{name}.png"

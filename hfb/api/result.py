@@ -19,7 +19,7 @@ from hfb.body.model import BetasSpace, Body
 from hfb.config import MotionFormat
 from hfb.errors import InputError
 from hfb.fitting.alternatives import Alternatives, load_alternatives
-from hfb.interop.writers.export_names import FILE_NAMES, REPORT, RESULT, check_formats
+from hfb.interop.writers.export_names import CURVES, FILE_NAMES, RECORD, REPORT, RESULT, check_formats
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, stored_png
 from hfb.motion.motion_file import load_motion
@@ -29,6 +29,7 @@ from hfb.report.pages.page import page
 from hfb.report.pages.result_facts import read_facts
 from hfb.report.pages.result_unknown import alternative_motions
 from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.tasks.chains.clip_chain import ClipFit
 from hfb.tasks.chains.image_chain import ImageFit
 from hfb.tasks.core.environment import environment
 from hfb.tasks.core.handles import FileHandle
@@ -38,9 +39,10 @@ from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.result_report import ReportParts, write_page, write_page_film
 from hfb.tasks.results.workspace import beside_result, check_writable, publish, workspace
 from hfb.tasks.telemetry.secrets import hidden_in
+from hfb.tasks.tracking.run_record import RunRecord, keep_for_later, read_kept
 from hfb.typing import Array, Float, Int
 
-_FILES = ("motion.npz", "alternatives.npz", "texture.png", "strip.png", "curves.json")
+_FILES = ("motion.npz", "alternatives.npz", "texture.png", "strip.png", CURVES, "edges.json")
 _VIEWER_PX = 640
 
 
@@ -79,7 +81,8 @@ class Result:
     alternatives: Alternatives | None
     _files: Mapping[str, Path]
     _folder: Path | None = None
-    _fit: ImageFit | None = None
+    _fit: ImageFit | ClipFit | None = None
+    _lacks: tuple[str, ...] = ()
 
     @property
     def poses(self) -> Float[Array, "R 72"]:
@@ -119,7 +122,7 @@ class Result:
 
     @property
     def mattes(self) -> Float[Array, "T H W"]:
-        """The person's share of each pixel, as the fit's last stage used it; of a saved clip none."""
+        """The person's share of each pixel, as the fit's last stage used it; of a clip none."""
         names = sorted((name for name in self._files if name.startswith("matte_")), key=lambda one: int(one[6:-4]))
         return np.stack([read_matte(self._files[name]) for name in names]) if names else np.zeros((0, 0, 0), np.float32)
 
@@ -132,6 +135,16 @@ class Result:
     def warnings(self) -> tuple[str, ...]:
         """Signs that the result is wrong, one sentence each."""
         return tuple(one["message"] for one in self.facts.get("warnings") or ())
+
+    @property
+    def gaps(self) -> tuple[tuple[int, int], ...]:
+        """First and last frame of every stretch of a clip without a pose; they have no rows."""
+        return tuple((first, last) for first, last in self.facts.get("gaps") or ())
+
+    @property
+    def missed(self) -> dict[int, str]:
+        """Frame of a clip -> why no body was found in it: it lies in a gap, or its neighbours stand in."""
+        return {one["frame"]: one["reason"] for one in self.facts.get("missed") or ()}
 
     @cached_property
     def body(self) -> Body:
@@ -147,9 +160,10 @@ class Result:
         return load_fitted_body(self.motion, self.betas_space, path)
 
     def save(self, folder: str | Path) -> Path:
-        """Write the result's folder, which `hfb.load_result` and the commands `hfb report` and `hfb export` read.
+        """Write the result's folder, which `hfb.load_result` and the commands that take a result read.
 
-        An earlier result of hfb there is replaced; other files are never.
+        An earlier result of hfb there is replaced; other files are never. Its record.json says what ran on which
+        inputs: `hfb record` puts it into MLflow, `hfb rerun` repeats it where all inputs were files.
 
         Args:
             folder: a new folder, or that of an earlier result.
@@ -164,9 +178,21 @@ class Result:
         facts = {**self.facts, "out": str(out.resolve()), "strip": str(out.resolve() / "strip.png"), "report": None}
         with errors_of_calls():
             check_no_clip(out)
-            with workspace(out):
-                publish(out, self._files, facts)
+            with workspace(out), tempfile.TemporaryDirectory() as private:
+                files, record = dict(self._files), self._record(facts)
+                if record is not None:
+                    files[RECORD] = keep_for_later(record, Path(private)).path
+                publish(out, files, facts)
         return out
+
+    def _record(self, facts: dict[str, Any]) -> RunRecord | None:
+        """Return the record that waits for MLflow; None of a result that was recorded, or whose record is gone."""
+        if self._fit is not None:
+            return self._fit.record(self._fit.files(), facts, self._lacks)
+        if self._folder is None or not (self._folder / RECORD).is_file():
+            return None
+        kept = read_kept(self._folder)
+        return kept.model_copy(update={"name": Path(facts["out"]).name, "contents": kept.contents | {RESULT: facts}})
 
     def report(self, folder: str | Path | None = None) -> Path:
         """Write report.html: the result on one page that opens anywhere.
@@ -184,14 +210,7 @@ class Result:
                 shot = self._fit.shot
                 film = FileHandle.of(write_page_film(shot.load(), shot.motion.sha256, Path(private)))
             known = {name: FileHandle.of(path) for name, path in self._files.items() if name in _FILES}
-            parts = ReportParts(
-                motion=known["motion.npz"],
-                curves=known["curves.json"],
-                texture=known.get("texture.png"),
-                strip=known.get("strip.png"),
-                alternatives=known.get("alternatives.npz"),
-                film=film,
-            )
+            parts = ReportParts.among(known, film)
             name = target.resolve().name
             write_page(parts, self.body, hidden_in(self.facts), environment(), path=made / REPORT, name=name)
         return target / REPORT
@@ -272,16 +291,17 @@ def load_result(folder: str | Path) -> Result:
     return Result(motion, cast(BetasSpace, space), facts, others, files, place)
 
 
-def result_of(fit: ImageFit, private: Path) -> Result:
+def result_of(fit: ImageFit | ClipFit, private: Path, lacks: tuple[str, ...]) -> Result:
     """Return the result of a fit whose files lie in a private folder.
 
     Args:
         fit: the fit.
         private: the folder; it is removed with the result.
+        lacks: see `hfb.tasks.tracking.recipe.Recipe`.
     """
-    motion, space = load_motion(fit.fitted.motion.path)
-    others = load_alternatives(fit.fitted.alternatives.path)[0] if fit.fitted.alternatives else None
     files = {name: file.path for name, file in fit.files().items()}
-    result = Result(motion, cast(BetasSpace, space), fit.facts(), others, files, None, fit)
+    motion, space = load_motion(files["motion.npz"])
+    others = load_alternatives(files["alternatives.npz"])[0] if "alternatives.npz" in files else None
+    result = Result(motion, cast(BetasSpace, space), fit.facts(), others, files, None, fit, lacks)
     weakref.finalize(result, shutil.rmtree, private, ignore_errors=True)
     return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,9 +30,11 @@ from hfb.tasks.image.prepare import prepare
 from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes
 from hfb.tasks.results.exports import ShotHandle
-from hfb.tasks.results.result_report import ReportParts, fit_curves
+from hfb.tasks.results.result_report import fit_curves
 from hfb.tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
 from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking.fit_record import fit_record
+from hfb.tasks.tracking.run_record import RunRecord
 from hfb.tasks.video.external_poses import Look, body_of_result, read_result, require
 from hfb.tasks.video.video_windows import mend_fronts
 
@@ -99,23 +102,6 @@ class ImageFit:
             **{f"matte_{index}.png": one for index, one in enumerate(fitted.mattes)},
         }
 
-    def report_parts(self, film: FileHandle | None) -> ReportParts:
-        """Return the files that the result's page consists of.
-
-        Args:
-            film: the page's small film, if there is one.
-        """
-        fitted = self.fitted
-        return ReportParts(
-            motion=fitted.motion,
-            curves=self.curves,
-            body=self.inputs.body,
-            texture=fitted.texture_image,
-            strip=self.strip,
-            alternatives=fitted.alternatives,
-            film=film,
-        )
-
     def facts(self) -> dict[str, Any]:
         """Return result.json but for the result's place: scores, times, inputs and options."""
         fitted, sources = self.fitted, [first.source for first in self.firsts]
@@ -139,6 +125,26 @@ class ImageFit:
             "code": code_version(),
             **({"own_parts": self.own.names()} if self.own != OwnParts() else {}),
         }
+
+    def record(
+        self, published: Mapping[str, FileHandle], result: dict[str, Any], lacks: tuple[str, ...] = ()
+    ) -> RunRecord:
+        """Return the run's record.
+
+        Args:
+            published: the files of the result, by name.
+            result: the content of result.json.
+            lacks: see `hfb.tasks.tracking.recipe.Recipe`; functions of the caller's own come to it.
+        """
+        return fit_record(
+            inputs=self.inputs,
+            config=self.config,
+            fit=self.fitted,
+            scores=self.scores,
+            published=published,
+            result=result,
+            lacks=(*lacks, *(f"{name} is a function of the caller's" for name in self.own.names())),
+        )
 
 
 def see_images(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from pydantic import Field
+
 from hfb.config import Record
 from hfb.io.clip import PersonChoice
 from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle
@@ -155,11 +157,13 @@ class ClipBodiesHandle(Record):
         firsts: one per frame; None in a gap.
         filled: frames whose body was interpolated from their neighbours'.
         usable: frames that can be fitted.
+        reasons: frame -> why no body was found in it.
     """
 
     firsts: tuple[FirstBodyHandle | None, ...]
     filled: tuple[bool, ...]
     usable: tuple[bool, ...]
+    reasons: dict[int, str] = Field(default_factory=dict)
 
 
 class WindowHandle(FileHandle):

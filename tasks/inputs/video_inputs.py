@@ -43,7 +43,7 @@ class VideoInputs(Record):
 
 
 def take_video_inputs(
-    source: Path,
+    source: Path | tuple[Path, ...],
     config: RunConfig,
     clip: Path | None = None,
     background: str | None = None,
@@ -55,7 +55,8 @@ def take_video_inputs(
     """Hash all inputs that the user names.
 
     Args:
-        source: see `hfb.tasks.inputs.clip_places.resolve_source`.
+        source: see `hfb.tasks.inputs.clip_places.resolve_source`; or the images in their order, beside which no plate
+            is looked for.
         config: all options.
         clip: a clip.toml that overrides one that is found.
         background: a file, ``"median"`` or ``"still"``; overrides clip.toml, which overrides a plate beside the clip.
@@ -69,11 +70,12 @@ def take_video_inputs(
             results in ``out`` would be read as frames.
     """
     check_formats(config.export.formats)
-    files, clip_path = resolve_source(source, clip)
+    files, clip_path = (source, clip) if isinstance(source, tuple) else resolve_source(source, clip)
     if out is not None:
-        check_clip_out(source, files, out)
+        check_clip_out(source if isinstance(source, Path) else files[0], files, out)
     known = read_clip(clip_path) if clip_path else Clip()
-    how, plate = _plate(background or known.background, files)
+    beside = () if isinstance(source, tuple) else files
+    how, plate = _plate(background or known.background, beside)
     person, camera = known.person, known.camera
     if everyone:
         if person.height_m is not None:
@@ -136,7 +138,7 @@ def _plate(told: str | None, files: tuple[Path, ...]) -> tuple[Literal["file", "
     for how in _FOUND:
         if told == how:
             return how, None
-    path = Path(told) if told else plate_beside(files)
+    path = Path(told) if told else plate_beside(files) if files else None
     if path is None:
         return "median", None
     try:

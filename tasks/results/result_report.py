@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 
 _OF_MOTION = ", of the motion "
+PAGE_FILES = {"texture": "texture.png", "strip": "strip.png", "alternatives": "alternatives.npz"}
+"""Part of a page -> the file of a result, which not every result has."""
 
 
 class ReportParts(Record):
@@ -40,6 +42,20 @@ class ReportParts(Record):
     strip: FileHandle | None = None
     alternatives: FileHandle | None = None
     film: FileHandle | None = None
+
+    @classmethod
+    def among(
+        cls, files: Mapping[str, FileHandle], film: FileHandle | None, body: FileHandle | None = None
+    ) -> ReportParts:
+        """Return the parts that lie among a result's files.
+
+        Args:
+            files: by the names under which they are published.
+            film: the page's small film, if there is one.
+            body: the user's body model.
+        """
+        others = {part: files.get(name) for part, name in PAGE_FILES.items()}
+        return cls(motion=files["motion.npz"], curves=files[CURVES], film=film, body=body, **others)
 
 
 @task("curves")

@@ -42,6 +42,7 @@ def fit_record(
     scores: ScoresHandle,
     published: Mapping[str, FileHandle],
     result: dict[str, Any],
+    lacks: tuple[str, ...] = (),
 ) -> RunRecord:
     """Return the record of a fit, identified by its inputs, its options and the code.
 
@@ -52,9 +53,12 @@ def fit_record(
         scores: of the motion.
         published: the files of the result, by name.
         result: the content of result.json.
+        lacks: see `hfb.tasks.tracking.recipe.Recipe`.
     """
     options = config.model_dump(mode="json")
     params = {**options, "input": input_hashes(inputs), "clip": inputs.clip.model_dump(mode="json")}
+    if own := result.get("own_parts"):  # functions have no hash: what they lead to tells runs apart
+        params |= {"own_parts": own, "motion": fit.motion.sha256}
     histories: dict[str, list[float | None]] = json.loads(fit.history.path.read_text())
     points = {
         f"loss/{term}": {step: float(value) for step, value in enumerate(values) if value is not None}
@@ -69,7 +73,7 @@ def fit_record(
         for name, file in published.items()
         if name in _ARTIFACTS or name.startswith(_MATTE)
     }
-    made_of = recipe("fit", config, inputs, published, code=code_version())
+    made_of = recipe("fit", config, inputs, published, code=code_version(), lacks=lacks)
     return RunRecord(
         name=Path(result["out"]).name,
         key=digest([params, code_version()]),

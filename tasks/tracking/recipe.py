@@ -40,6 +40,7 @@ class Recipe(Record):
         files: the files of the inputs by role.
         results: sha256 of the files that were made, by the name they were published under.
         code: `hfb.tasks.core.environment.code_version` then.
+        lacks: why a command cannot repeat the run, such as images that were no files.
     """
 
     format: Literal[1] = 1
@@ -50,6 +51,7 @@ class Recipe(Record):
     files: dict[str, GivenFile]
     results: dict[str, str]
     code: str
+    lacks: tuple[str, ...] = ()
 
 
 def recipe(
@@ -59,7 +61,7 @@ def recipe(
     results: Mapping[str, FileHandle],
     *,
     code: str,
-    options: Mapping[str, Any] | None = None,
+    lacks: tuple[str, ...] = (),
 ) -> Recipe:
     """Return the recipe of a run that has just finished.
 
@@ -69,7 +71,7 @@ def recipe(
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
         results: files of the result, without those that differ from run to run, such as timings.
         code: `hfb.tasks.core.environment.code_version()`.
-        options: plain values that are neither configuration nor input.
+        lacks: see `Recipe`.
     """
     files = {
         role: GivenFile(path=file.path, sha256=file.sha256, bytes=file.path.stat().st_size)
@@ -80,10 +82,11 @@ def recipe(
         command=command,
         config=_replace_paths(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
         inputs=inputs.model_dump(mode="json"),
-        options=dict(options or {}),
+        options={},
         files=files,
         results={name: file.sha256 for name, file in results.items()},
         code=code,
+        lacks=lacks,
     )
 
 
@@ -103,6 +106,16 @@ def read_recipe(path: Path, run: str) -> Recipe:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise InputError(f"the recipe of run {run} is damaged ({error}); repeat the run's own command") from None
+    return to_recipe(content, run)
+
+
+def to_recipe(content: object, run: str) -> Recipe:
+    """Return a recipe of plain content; arguments and errors as of `read_recipe`.
+
+    Args:
+        content: of the file.
+        run: its title, for messages.
+    """
     if not isinstance(content, dict) or content.get("format") != 1:
         raise InputError(f"the recipe of run {run} is of another version of hfb: check that version out to repeat it")
     return to_record(Recipe, content, f"the recipe of run {run}")

@@ -36,13 +36,6 @@ class ClipRecord:
             config: all options.
         """
         self._name, self._inputs, self._config = name, inputs, config
-        self._params = {
-            **config.model_dump(mode="json"),
-            "input": video_hashes(inputs),
-            "clip": inputs.clip.model_dump(mode="json"),
-        }
-        self._key = digest(["video", self._params, code_version()])
-        self._tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video"}
         self._run: tracking.Run | None = None
         self._points: dict[str, dict[int, float]] = {}
         self._there: dict[str, set[int]] = {}
@@ -86,15 +79,7 @@ class ClipRecord:
             folder: where the file goes.
         """
         progress.say(f"not recorded in MLflow: `hfb record {result['out']}` records it when MLflow is back")
-        kept = RunRecord(
-            name=self._name,
-            key=self._key,
-            params=self._params,
-            tags=self._tags,
-            points=self._points | _final(result),
-            files={name: RecordedFile(sha256=file.sha256) for name, file in files.items()},
-            contents=self._contents(files, result),
-        )
+        kept = clip_record(self._inputs, self._config, points=self._points, files=files, result=result)
         return keep_for_later(kept, folder)
 
     def stop(self, status: str) -> None:
@@ -109,7 +94,8 @@ class ClipRecord:
             self._try(lambda: tracking.end_run(run, status))
 
     def _open(self) -> None:
-        self._run = tracking.begin_run(self._name, self._key, self._params, self._tags)
+        params, key, tags = _identity(self._inputs, self._config)
+        self._run = tracking.begin_run(self._name, key, params, tags)
         self._unwatch = tracking.watch_machine(self._run)
 
     def _log(self, points: Mapping[str, Mapping[int, float]]) -> None:
@@ -135,18 +121,13 @@ class ClipRecord:
         assert run is not None
         if run.complete:
             return
-        self._log(self._points)
-        self._log(_final(result))
+        whole = clip_record(self._inputs, self._config, points=self._points, files=files, result=result)
+        self._log(whole.points)
         with tracking.store_losses():
             tracking.log_files(run, [file.path for _, file in sorted(files.items())])
-            for name, content in self._contents(files, result).items():
+            for name, content in whole.contents.items():
                 tracking.log_dict(run, content, name)
         tracking.end_run(run, "FINISHED")
-
-    def _contents(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        made_of = recipe("video", self._config, self._inputs, files, code=code_version())
-        options = self._config.model_dump(mode="json")
-        return {RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")}
 
     def _try(self, action: Any) -> None:
         try:
@@ -158,6 +139,50 @@ class ClipRecord:
                     "the same command completes the record"
                 )
             self._reached = False
+
+
+def clip_record(
+    inputs: VideoInputs,
+    config: RunConfig,
+    *,
+    points: Mapping[str, Mapping[int, float]],
+    files: Mapping[str, FileHandle],
+    result: Mapping[str, Any],
+    lacks: tuple[str, ...] = (),
+) -> RunRecord:
+    """Return the whole record of a clip, identified by its inputs, its options and the code.
+
+    Args:
+        inputs: of the run.
+        config: all options.
+        points: figure -> values by frame.
+        files: of the result, by name.
+        result: content of result.json.
+        lacks: see `hfb.tasks.tracking.recipe.Recipe`.
+    """
+    params, key, tags = _identity(inputs, config)
+    made_of = recipe("video", config, inputs, files, code=code_version(), lacks=lacks)
+    options = config.model_dump(mode="json")
+    return RunRecord(
+        name=Path(result["out"]).name,
+        key=key,
+        params=params,
+        tags=tags,
+        points={**points, **_final(result)},
+        files={name: RecordedFile(sha256=file.sha256) for name, file in files.items()},
+        contents={RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")},
+    )
+
+
+def _identity(inputs: VideoInputs, config: RunConfig) -> tuple[dict[str, Any], str, dict[str, str]]:
+    """Return parameters, key and tags of a clip's run."""
+    params = {
+        **config.model_dump(mode="json"),
+        "input": video_hashes(inputs),
+        "clip": inputs.clip.model_dump(mode="json"),
+    }
+    tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video"}
+    return params, digest(["video", params, code_version()]), tags
 
 
 def _final(result: Mapping[str, Any]) -> dict[str, dict[int, float]]:

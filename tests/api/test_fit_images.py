@@ -150,6 +150,6 @@ def test_16_bits_of_linear_light_are_kept(tmp_path: Path) -> None:
     from hfb.api.given_images import image_files
 
     light = np.linspace(0, 1, 3 * 64 * 64).reshape(64, 64, 3)
-    (path,), _ = image_files(light, SQUARE, tmp_path)
+    (path,) = image_files(light, tmp_path)
     assert np.abs(srgb_to_linear(read_picture_srgb(path).astype(np.float64)) - light).max() < 2e-5
     write_png(tmp_path / "plate.png", SQUARE.astype(np.float32))

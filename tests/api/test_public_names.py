@@ -14,6 +14,7 @@ SIGNATURES = {
     "first_body": "(frame, background, *, init=None, matting=None, clip=None, config=None, **options)",
     "fit": "(frames, background, *, init=None, matting=None, prior=None, extra_terms=None, clip=None, config=None, "
     "on_progress=None, **options)",
+    "fit_clip": "(video, /, background=None, *, clip=None, config=None, on_progress=None, **options)",
     "load_body": "(model=None)",
     "load_result": "(folder)",
     "matte": "(frame, background, *, matting=None, clip=None, config=None, **options)",
@@ -22,8 +23,8 @@ SIGNATURES = {
 """A change here is a change for everyone who uses hfb as a library: it belongs into CHANGELOG.md."""
 
 RESULT = {
-    "alternatives", "betas", "betas_space", "body", "export", "facts", "frame_index", "joints", "mattes", "motion",
-    "poses", "radii_mm", "report", "save", "show", "texture_linear", "times_s", "trans", "warnings",
+    "alternatives", "betas", "betas_space", "body", "export", "facts", "frame_index", "gaps", "joints", "mattes",
+    "missed", "motion", "poses", "radii_mm", "report", "save", "show", "texture_linear", "times_s", "trans", "warnings",
 }  # fmt: skip
 
 CLASSES = {
@@ -46,7 +47,7 @@ def test_the_names_and_signatures() -> None:
     assert all(inspect.isclass(getattr(hfb, name)) for name in CLASSES)
     assert set(hfb.__all__) <= set(dir(hfb))
     names = {name for name in dir(hfb.Result) if not name.startswith("_")}
-    assert names | set(inspect.signature(hfb.Result).parameters) - {"_files", "_folder", "_fit"} == RESULT
+    assert names | set(inspect.signature(hfb.Result).parameters) - {"_files", "_folder", "_fit", "_lacks"} == RESULT
 
 
 def _plain(function: object) -> str:
@@ -78,15 +79,23 @@ result.save("saved")
 hfb.load_result("saved").report()
 result.export("glb", "amass", "bvh", "csv", "trc")
 result.show()
+from PIL import Image
+short, frame = [{"size_px": 32, "iterations": 1}], Image.open(sys.argv[1])
+clip = hfb.fit_clip(
+    [frame, frame], sys.argv[2], init="matte", stages=short, subframes=2, texture_px=16, settle=0, both_fronts=False,
+    video={"stages": short, "settle": 0, "person_windows": 1},
+)
+clip.save("clip")
+hfb.load_result("clip").report()
 print(sorted({"prefect", "mlflow", "rich", "hfb.flows"} & sys.modules.keys()))
 """
 
 
 @pytest.mark.integration
 def test_nothing_of_prefect_and_mlflow_is_needed(problem, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Where they do not even exist a fit runs, is saved, read, exported and shown; the import itself loads nothing."""
+    """Where they do not even exist fits run, are saved, read, exported and shown; the import itself loads nothing."""
     words = [sys.executable, "-W", "error::ResourceWarning", "-c", PROGRAM, str(problem.frame), str(problem.background)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split("\n")[:2] == ["[]", "[]"]
-    assert {path.name for path in tmp_path.iterdir()} == {"saved", "export"}
+    assert {path.name for path in tmp_path.iterdir()} == {"saved", "export", "clip"}

@@ -70,7 +70,7 @@ def command(arguments: list[str]) -> int:
     from hfb.flows.cli import cli
 
     if arguments[0] == "cheap":
-        from hfb.flows import clip_steps
+        from hfb.tasks.chains import clip_steps
 
         clip_steps.find_body_between = near_body  # type: ignore[assignment]
     code = cli.main(arguments[1:])

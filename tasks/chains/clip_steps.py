@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -13,11 +12,11 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.warnings import ResultWarning, check_never_left
 from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
-from hfb.flows.runtime.failures import ServerWatch
 from hfb.io.media.plate import HOLDS_PERSON
 from hfb.matting.exposure_match import describe_gains
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, FrontRecord, PriorsHandle
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.video_handles import (
+    BodyFound,
     ClipBodiesHandle,
     FootageHandle,
     JoinedHandle,
@@ -27,10 +26,9 @@ from hfb.tasks.core.video_handles import (
 )
 from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.video_inputs import VideoInputs
-from hfb.tasks.map_task import Outcome, map_task
+from hfb.tasks.map_task import Outcome, require_all
 from hfb.tasks.results.exports import ShotHandle
 from hfb.tasks.results.result_warnings import plate_warnings, tell
-from hfb.tasks.task import Task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.video.external_poses import GivenBodyCall, find_given_body, looks_at, pictures_of, read_result
 from hfb.tasks.video.front_votes import weigh_segments
@@ -57,9 +55,8 @@ from hfb.tasks.video.video_windows import (
 )
 from hfb.tracking.clip_bodies import key_frames
 
+_NOBODY = "nobody differs from the background"
 CHUNK = 16  # frames per task where a task per frame would cost more than its work
-C = TypeVar("C", bound=Call)
-R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -69,6 +66,8 @@ class Scene:
     Attributes:
         mattes: of the frames in which the person is visible.
         areas: sums of the mattes [px], 0 elsewhere.
+        unseen: why the other frames have no matte.
+        look: called after each result of a mapped task; what it raises ends the chain.
         warnings: about the plate, shown before the fit.
     """
 
@@ -80,6 +79,8 @@ class Scene:
     frames: tuple[FrameHandle, ...]
     mattes: Mapping[int, FileHandle]
     areas: tuple[float, ...]
+    unseen: Mapping[int, str]
+    look: Callable[[], None]
     warnings: tuple[ResultWarning, ...] = ()
 
     def of(self, numbers: Sequence[int]) -> tuple[ClipHandle, tuple[FileHandle, ...]]:
@@ -132,13 +133,14 @@ class Fitted:
     fronts: Mapping[int, FrontRecord] = field(default_factory=dict)
 
 
-def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
+def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[], None]) -> Scene:
     """Extract the frames, find the plate, and estimate the matte of every frame in which the person is visible.
 
     Args:
         inputs: of the run.
         config: all options.
         folder: of intermediate files.
+        look: see `Scene`.
 
     Raises:
         InputError: the footage, the plate or the track cannot be used, or no frame shows a person.
@@ -160,7 +162,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
         ExtractCall(footage=footage, plate=plate, start=at, stop=min(at + CHUNK, footage.count), folder=folder)
         for at in range(0, footage.count, CHUNK)
     ]
-    frames = tuple(file for chunk in require_all(extract_frames, chunks, "frames") for file in chunk.files)
+    frames = tuple(file for chunk in require_all(extract_frames, chunks, "frames", look) for file in chunk.files)
     if exposures := describe_gains([frame.gain for frame in frames]):
         progress.say(f"hfb: {exposures}")
     calls = [
@@ -178,13 +180,14 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
         for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))
         if box is not None
     ]
-    found = dict(zip((call.number for call in calls), require_all(find_matte, calls, "mattes"), strict=True))
+    found = dict(zip((call.number for call in calls), require_all(find_matte, calls, "mattes", look), strict=True))
     mattes = {number: one.file for number, one in found.items() if one.file is not None}
     if not mattes:
-        reason = next((one.reason for one in found.values()), "nobody differs from the background")
+        reason = next((one.reason for one in found.values()), _NOBODY)
         raise InputError(f"nobody is seen in any of the {footage.count} frames ({reason})")
     areas = tuple(found[number].area_px if number in found else 0.0 for number in range(len(frames)))
-    return Scene(inputs, config, folder, footage, plate, frames, mattes, areas, plate_faults)
+    unseen = {n: found[n].reason if n in found else _NOBODY for n in range(len(frames)) if n not in mattes}
+    return Scene(inputs, config, folder, footage, plate, frames, mattes, areas, unseen, look, plate_faults)
 
 
 def _check_plate(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -> tuple[ResultWarning, ...]:
@@ -222,7 +225,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
         )
         for n in keys
     ]
-    searched = require_all(find_key_body, calls, "first bodies")
+    searched = require_all(find_key_body, calls, "first bodies", scene.look)
     found = {number: one.first for number, one in zip(keys, searched, strict=True) if one.first is not None}
     if not found:
         raise InputError(f"no body is found in any frame ({searched[0].reason})")
@@ -240,11 +243,9 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
         )
         for n in others
     ]
-    placed = require_all(find_body_between, between, "first bodies between")
-    for number, one in zip(others, placed, strict=True):
-        if one.first is not None:
-            known[number] = one.first
-    return _fill(scene, known)
+    placed = require_all(find_body_between, between, "first bodies between", scene.look)
+    known |= {number: one.first for number, one in zip(others, placed, strict=True) if one.first is not None}
+    return _fill(scene, known, dict(zip([*keys, *others], [*searched, *placed], strict=True)))
 
 
 def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
@@ -277,23 +278,25 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
         )
         for n in sorted(scene.mattes)
     ]
-    placed = require_all(find_given_body, calls, "first bodies of the result")
+    placed = require_all(find_given_body, calls, "first bodies of the result", scene.look)
     found = {call.number: one.first for call, one in zip(calls, placed, strict=True) if one.first is not None}
     if not found:
         raise InputError(f"the result has a body for none of the frames ({placed[0].reason}); say with --init.frame")
-    return _fill(scene, found)
+    return _fill(scene, found, dict(zip(sorted(scene.mattes), placed, strict=True)))
 
 
-def _fill(scene: Scene, known: Mapping[int, FirstBodyHandle]) -> ClipBodiesHandle:
+def _fill(scene: Scene, known: Mapping[int, FirstBodyHandle], looked: Mapping[int, BodyFound]) -> ClipBodiesHandle:
     """Fill the other frames from their neighbours' bodies."""
     numbers = tuple(sorted(known))
-    return fill_bodies(
+    reasons = {**scene.unseen, **{number: one.reason for number, one in looked.items() if one.first is None}}
+    whole = fill_bodies(
         numbers=numbers,
         firsts=tuple(known[number] for number in numbers),
         present=tuple(number in scene.mattes for number in range(len(scene.frames))),
         longest_fill=scene.config.video.longest_fill,
         folder=scene.folder,
     )
+    return whole.model_copy(update={"reasons": dict(sorted(reasons.items()))})
 
 
 def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tuple[int, ...], float], None]) -> Fitted:
@@ -308,7 +311,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     windows = plan_windows(np.array(bodies.usable, bool), config.video.window)
     settling = person_windows(windows, np.array(scene.areas), config.video.person_windows)
     first_calls = [_window_call(scene, bodies, windows[index], None) for index in settling]
-    first_fits = require_all(fit_clip_window, first_calls, "who it is")
+    first_fits = require_all(fit_clip_window, first_calls, "who it is", scene.look)
     fronts = weigh_segments(first_fits)
     bodies = _turn_bodies(scene, bodies, windows, fronts)
     again = [
@@ -318,7 +321,9 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     ]
     if again:  # neighbours outvoted what these windows kept
         calls = [_window_call(scene, bodies, windows[index], None, turned=True) for index in again]
-        refitted = dict(zip(again, require_all(fit_clip_window, calls, "who it is, other front"), strict=True))
+        refitted = dict(
+            zip(again, require_all(fit_clip_window, calls, "who it is, other front", scene.look), strict=True)
+        )
         first_fits = [refitted.get(index, found) for index, found in zip(settling, first_fits, strict=True)]
     person = estimate_identity(tuple(first_fits), scene.inputs.body, scene.folder)
     settled = _assign_frames(windows)
@@ -332,7 +337,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
         on_fitted(settled[index], outcome.result.loss)
 
     calls = [_window_call(scene, bodies, window, person) for window in windows]
-    fits = tuple(require_all(fit_clip_window, calls, "windows", fitted))
+    fits = tuple(require_all(fit_clip_window, calls, "windows", scene.look, on_outcome=fitted))
     return Fitted(fits, person, frozenset(resumed), fronts)
 
 
@@ -356,7 +361,7 @@ def _turn_bodies(
         for number in numbers
         if (first := bodies.firsts[number]) is not None
     ]
-    turned = dict(zip(numbers, require_all(mirror_body, calls, "other front"), strict=True))
+    turned = dict(zip(numbers, require_all(mirror_body, calls, "other front", scene.look), strict=True))
     return bodies.model_copy(
         update={"firsts": tuple(turned.get(number, one) for number, one in enumerate(bodies.firsts))}
     )
@@ -420,27 +425,3 @@ def _around(number: int, known: Mapping[int, FirstBodyHandle]) -> tuple[tuple[in
     before = max((frame for frame in known if frame < number), default=None)
     after = min((frame for frame in known if frame > number), default=None)
     return tuple((frame, known[frame]) for frame in (before, after) if frame is not None)
-
-
-def require_all(
-    task: Task[[C], R], calls: Sequence[C], label: str, on_outcome: Callable[[int, Outcome[R]], None] | None = None
-) -> list[R]:
-    """Return all results in order; the first failure stops the rest.
-
-    Args:
-        task: of one record.
-        calls: the records.
-        label: displayed while they run.
-        on_outcome: called with the number and outcome of each call, in order.
-    """
-    server = ServerWatch()
-
-    def watched(index: int, outcome: Outcome[R]) -> None:
-        if outcome.error is not None:
-            raise outcome.error
-        server.look()
-        if on_outcome is not None:
-            on_outcome(index, outcome)
-
-    outcomes = map_task(task, calls, label, watched)
-    return [outcome.result for outcome in outcomes if outcome.result is not None]

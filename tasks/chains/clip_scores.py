@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from hfb.evaluation.warnings import ResultWarning, check_front
-from hfb.flows.clip_steps import CHUNK, Fitted, Scene, require_all
+from hfb.tasks.chains.clip_steps import CHUNK, Fitted, Scene
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.video_handles import JoinedHandle
+from hfb.tasks.map_task import require_all
 from hfb.tasks.results.result_warnings import look_for_warnings, looks_over, tell
 from hfb.tasks.video.video_look import ScoreCall, draw_clip, judge_clip, score_frames
 
@@ -40,7 +41,7 @@ def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[
                 config=scene.config.fit,
             )
         )
-    told = require_all(score_frames, calls, "scores")
+    told = require_all(score_frames, calls, "scores", scene.look)
     if scene.inputs.truth is not None:
         told.append(judge_clip(joined.motion, scene.inputs.truth))
     scores: dict[str, dict[int, float]] = {}
