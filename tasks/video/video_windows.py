@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from hfb.config import FitConfig
@@ -262,7 +262,7 @@ def join_clip(
         K=np.array(footage.K),
         longest_fill=longest_fill,
     )
-    save_motion(folder / "motion.npz", joined.motion, model.betas_space)
+    save_motion(folder / "motion.npz", replace(joined.motion, world=footage.world), model.betas_space)
     told = {
         "edges": [asdict(edge) for edge in joined.edges],
         "turned": [asdict(one) for one in joined.turned],
