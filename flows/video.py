@@ -93,7 +93,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             **exports.by_name(),
         }
         result = _result(scene=scene, bodies=bodies, fitted=fitted, joined=joined, scores=scores, out=out)
-        result["world"] = exports.world.model_dump() if exports.world else None
+        result |= exports.facts()
         result["warnings"] = [one.model_dump(mode="json") for one in warnings]
         result["seconds"] = round(time.perf_counter() - began, 3)
         result["workers_busy"] = busy_share()

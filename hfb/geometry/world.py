@@ -43,6 +43,7 @@ class WorldFacts(Record):
         tilt_deg: the camera looks down by so much.
         roll_deg: what stands upright leans to the right in the image by so much.
         lean_deg: median angle between trunk (pelvis to neck) and vertical.
+        foot_skate_mm: see `hfb.motion.footing.foot_skate_mm`.
         says: the same in a sentence.
         doubtful: nobody stated it, or the person contradicts it.
     """
@@ -52,6 +53,7 @@ class WorldFacts(Record):
     tilt_deg: float
     roll_deg: float
     lean_deg: float
+    foot_skate_mm: float | None
     says: str
     doubtful: bool
 

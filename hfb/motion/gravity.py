@@ -13,34 +13,15 @@ import numpy as np
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.geometry.placement import world_of_up
 from hfb.geometry.world import World
+from hfb.motion.footing import FEET, standing_feet
 from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Bool, Float
 
-_FEET = (JOINT_NAMES.index("left_foot"), JOINT_NAMES.index("right_foot"))
 _PELVIS, _NECK = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("neck")
-_STILL_M_S = 0.5
-_LOWER_M = 0.12  # a foot that is held up is higher above the other one than an error of the fit
 _CONTACT_M, _TRUNK_RAD = 0.04, math.radians(8)
 _LEAST_CONTACTS = 3
 _PRINT_M = 0.2  # footprints of one foot are further apart
 _SURE_RAD, _ACROSS_RAD, _AGREE_RAD = math.radians(2), math.radians(6.5), math.radians(15)
-
-
-def standing_feet(motion: SampledMotion, up: Float[Array, "3"]) -> Bool[Array, "R 2"]:
-    """Return at which instants the left and the right foot stand: still, and not above the other one.
-
-    Args:
-        motion: camera coordinates.
-        up: roughly, in camera coordinates.
-    """
-    feet = motion.joints[:, _FEET]
-    speed = np.full(feet.shape[:2], np.inf)
-    for rows in np.split(np.arange(len(feet)), np.flatnonzero(np.diff(motion.frame_index)) + 1):
-        times = motion.times_s[rows]
-        if len(rows) > 1 and (np.diff(times) > 0).all():
-            speed[rows] = np.linalg.norm(np.gradient(feet[rows], times, axis=0), axis=-1)
-    height = feet @ (up / np.linalg.norm(up))
-    return (speed < _STILL_M_S) & (height - height.min(1, keepdims=True) < _LOWER_M)
 
 
 def world_of_walk(motion: SampledMotion) -> World | None:
@@ -71,7 +52,7 @@ def world_of_walk(motion: SampledMotion) -> World | None:
 def _contacts(motion: SampledMotion, standing: Bool[Array, "R 2"]) -> Float[Array, "C 3"]:
     """Return the mean place of a foot at each of its footprints."""
     places = []
-    for foot, down in zip(_FEET, standing.T, strict=True):
+    for foot, down in zip(FEET, standing.T, strict=True):
         steps = motion.joints[down, foot]
         new = np.flatnonzero(np.linalg.norm(np.diff(steps, axis=0), axis=-1) > _PRINT_M) + 1
         places += [part.mean(0) for part in np.split(steps, new) if len(part)]

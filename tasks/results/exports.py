@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from hfb.config import ExportConfig, Film, FitConfig, Record
 from hfb.errors import InputError
@@ -35,6 +35,13 @@ class ExportsHandle(Record):
     files: tuple[FileHandle, ...]
     left_out: tuple[str, ...] = ()
     world: WorldFacts | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """Return the world of the motion files, and how far feet slide in it, for result.json."""
+        if self.world is None:
+            return {}
+        world = self.world.model_dump()
+        return {"foot_skate_mm": world.pop("foot_skate_mm"), "world": world}
 
     def by_name(self) -> dict[str, FileHandle]:
         """Return name -> file."""

@@ -1,11 +1,14 @@
-"""Up, from feet that stand and a trunk that leans: found where a walk tells it, and nothing said where it does not."""
+"""Up, from feet that stand and a trunk that leans, where a walk tells it; and how far standing feet slide."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hfb.geometry.placement import up_of_angles, world_of_up, z_up
 from hfb.motion.clock import subframe_times_s
-from hfb.motion.gravity import standing_feet, world_of_walk
+from hfb.motion.footing import foot_skate_mm, standing_feet
+from hfb.motion.gravity import world_of_walk
 from hfb.motion.sampled import SampledMotion
 
 TILT_DEG, ROLL_DEG = 24.0, -6.0
@@ -77,3 +80,15 @@ def test_feet_stand_where_they_are_still_and_down() -> None:
     assert 0.4 < standing.mean() < 0.75
     assert np.ptp(height[standing]) < 0.03
     assert standing.any(1).all()
+
+
+def test_how_far_standing_feet_slide() -> None:
+    """A person who glides along at 0.1 m/s: 4 mm in each exposure of 40 ms; a rise is no sliding."""
+    motion, up = walk(around(), noise_m=0.0), _TRUE.R[2]
+    assert foot_skate_mm(motion, up) == pytest.approx(0, abs=1e-9)
+    aside = np.array([0.1, 0, 0]) @ _TRUE.R  # along the floor
+    glided = replace(motion, joints=motion.joints + motion.times_s[:, None, None] * aside)
+    assert foot_skate_mm(glided, up) == pytest.approx(4, abs=0.2)
+    risen = replace(motion, joints=motion.joints + motion.times_s[:, None, None] * 0.1 * up)
+    assert foot_skate_mm(risen, up) == pytest.approx(0, abs=1e-6)
+    assert foot_skate_mm(replace(motion, joints=motion.joints + 3 * motion.times_s[:, None, None] * up), up) is None

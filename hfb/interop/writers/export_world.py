@@ -6,6 +6,7 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.config import WorldUp
 from hfb.geometry.placement import angles_of_world, in_world, z_up
 from hfb.geometry.world import WorldFacts
+from hfb.motion.footing import foot_skate_mm
 from hfb.motion.sampled import SampledMotion
 
 _PELVIS, _NECK = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("neck")
@@ -24,6 +25,7 @@ def describe_world(motion: SampledMotion) -> WorldFacts:
     trunks = motion.joints[:, _NECK] - motion.joints[:, _PELVIS]
     trunks /= np.linalg.norm(trunks, axis=-1, keepdims=True)
     lean = float(np.degrees(np.median(np.arccos(np.clip(trunks @ z_up(world).R[2], -1, 1)))))
+    skate = foot_skate_mm(motion, z_up(world).R[2])
     angles = f"it looks down by {tilt:.1f} degrees and leans what is upright to the right by {roll:.1f}"
     give = "--camera.tilt-deg and --camera.roll-deg, or a calibration with rotation and translation"
     says = {
@@ -45,6 +47,7 @@ def describe_world(motion: SampledMotion) -> WorldFacts:
         tilt_deg=round(tilt, 2),
         roll_deg=round(roll, 2),
         lean_deg=round(lean, 2),
+        foot_skate_mm=None if skate is None else round(skate, 2),
         says=says,
         doubtful=doubtful,
     )

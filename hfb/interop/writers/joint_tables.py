@@ -9,6 +9,7 @@ from hfb.config import CsvFrame
 from hfb.geometry.placement import Placement, in_world, trc_axes, z_up
 from hfb.interop.writers.keys import even_keys, subframe_rate_hz
 from hfb.io.atomic import write_bytes_atomic
+from hfb.motion.footing import FEET, standing_feet
 from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Float
 
@@ -18,7 +19,8 @@ def csv_text(motion: SampledMotion, frame: CsvFrame = "camera") -> str:
 
     Columns: ``frame``, ``sub_frame``, ``time_s``, per joint ``NAME_x_m``, ``NAME_y_m``, ``NAME_z_m`` (of the world
     ``NAME_world_x_m`` ...), and ``NAME_radius_mm`` where the motion has radii: the error is below it with a probability
-    of one half; empty where unknown.
+    of one half; empty where unknown. ``left_foot_stands`` and ``right_foot_stands`` are 1 where the foot is on the
+    floor (`hfb.motion.footing`), else 0.
 
     Args:
         motion: camera coordinates.
@@ -33,6 +35,8 @@ def csv_text(motion: SampledMotion, frame: CsvFrame = "camera") -> str:
     radius = motion.joint_radius_mm
     if radius is not None:
         head += [f"{name}_radius_mm" for name in JOINT_NAMES]
+    head += [f"{JOINT_NAMES[foot]}_stands" for foot in FEET]
+    standing = standing_feet(motion, z_up(motion.export_world).R[2]).astype(int)
     lines = [",".join(head)]
     number = -1
     for row, (index, time_s, joints) in enumerate(
@@ -42,7 +46,7 @@ def csv_text(motion: SampledMotion, frame: CsvFrame = "camera") -> str:
         cells = [str(int(index)), str(number), f"{time_s:.9f}", *(f"{value:.6f}" for value in joints)]
         if radius is not None:
             cells += [f"{value:.2f}" if np.isfinite(value) else "" for value in radius[row]]
-        lines.append(",".join(cells))
+        lines.append(",".join([*cells, *map(str, standing[row].tolist())]))
     return "\r\n".join(lines) + "\r\n"
 
 

@@ -23,6 +23,7 @@ from hfb.interop.writers.bvh import write_bvh
 from hfb.interop.writers.c3d_file import c3d_bytes, write_c3d
 from hfb.interop.writers.joint_tables import marker_table, write_csv, write_trc
 from hfb.interop.writers.keys import even_keys
+from hfb.motion.footing import standing_feet
 from hfb.motion.sampled import SampledMotion
 from tests.interop.writers.motions import joints_at, motion_of
 
@@ -96,6 +97,8 @@ def test_csv_has_the_rows_of_the_motion_and_their_exact_times(motion: SampledMot
     assert 1000 * np.linalg.norm(read - motion.joints, axis=-1).max() < _BOUND_MM
     radius = np.array([[float(row[f"{name}_radius_mm"]) for name in JOINT_NAMES] for row in rows])
     np.testing.assert_allclose(radius, motion.joint_radius_mm, atol=0.01)
+    standing = [[int(row[f"{side}_foot_stands"]) for side in ("left", "right")] for row in rows]
+    np.testing.assert_array_equal(standing, standing_feet(motion, np.array([0.0, -1, 0])))
     write_csv(path, replace(motion, joint_radius_mm=None))
     assert "radius" not in path.read_text()
 
