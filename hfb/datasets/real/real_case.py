@@ -35,6 +35,7 @@ from hfb.initialization.initializer import make_initializer
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import write_matte, write_png
 from hfb.io.media.lens.camera_files import CalibratedCamera
+from hfb.io.media.lens.camera_pose import FARTHEST_M
 from hfb.photometry import linear_to_srgb
 from hfb.rendering.backends import make_rasterizer
 from hfb.typing import Array, Float
@@ -160,7 +161,7 @@ def _write_truth(path: Path, joints: SeenJoints, shutter: Shutter) -> None:
 
 def _clip_toml(camera: PinholeCamera, calibrated: CalibratedCamera | None, shutter: Shutter) -> str:
     pose = ""
-    if calibrated is not None and (calibrated.t_m.any() or not np.array_equal(calibrated.R_camera_world, np.eye(3))):
+    if calibrated is not None and 0 < np.linalg.norm(calibrated.t_m) <= FARTHEST_M:
         pose = f"rotation = {calibrated.R_camera_world.tolist()}\ntranslation = {calibrated.t_m.tolist()}\n"
     return (
         f"# The mean of {shutter.average} frames of a video in linear light.\n"

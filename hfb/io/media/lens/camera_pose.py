@@ -12,7 +12,8 @@ from hfb.io.media.lens.clip_lens import choose_camera, find_entry, flat_numbers
 
 _ROTATION = ("rotation", "rworldtocam", "rotationmatrix", "rotationvector", "rvec", "r")
 _TRANSLATION = ("translation", "tworldtocam", "translationvector", "tvec", "t")
-_FARTHEST_M = 100.0
+FARTHEST_M = 100.0
+"""Translations beyond it are in other units."""
 
 
 def clip_world(options: CameraConfig, camera: ClipCamera, video: str) -> World | None:
@@ -33,7 +34,7 @@ def clip_world(options: CameraConfig, camera: ClipCamera, video: str) -> World |
     if pose is None:
         return None
     rotation, translation = np.array(pose[0], np.float64), np.array(pose[1], np.float64)
-    if (away_m := float(np.linalg.norm(translation))) > _FARTHEST_M:
+    if (away_m := float(np.linalg.norm(translation))) > FARTHEST_M:
         raise InputError(
             f"the calibration's camera stands {away_m:.0f} m from the world's origin: translation must be in metres; "
             "convert it, or give rotation and translation in clip.toml's [camera]"
