@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 from hfb.body.model import BetasSpace
-from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
+from hfb.config import AmassRate, CameraConfig, CsvFrame, Film, MeshFormat, MotionFormat, WorldUp
 from hfb.errors import InputError
+from hfb.geometry.world import CALIBRATED, World
 from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
+from hfb.interop.writers.export_world import describe_world
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.io.clip import Clip, read_clip
 from hfb.io.media.images.image_io import stored_png
+from hfb.io.media.lens.camera_pose import clip_world
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.out_place import check_no_clip
@@ -23,6 +28,7 @@ from hfb.tasks.telemetry import progress
 
 MESHES = "meshes"
 _FOLDER = "export"
+_UNKNOWN = CameraConfig()
 
 
 def export_result(
@@ -35,6 +41,9 @@ def export_result(
     amass_rate: AmassRate = 120,
     films: Sequence[Film] = (),
     inputs: Path | None = None,
+    csv_frame: CsvFrame = "camera",
+    camera: CameraConfig = _UNKNOWN,
+    clip: Path | None = None,
 ) -> dict[str, Any]:
     """Write a result's motion in several formats, and draw films of it.
 
@@ -47,9 +56,12 @@ def export_result(
         amass_rate: poses per second in amass.npz.
         films: which.
         inputs: where to look for images that were moved; they are recognised by their content.
+        csv_frame: coordinates in joints.csv.
+        camera: how the camera stands in the world, where the result does not know it, or is wrong.
+        clip: a clip.toml that tells the same.
 
     Returns:
-        ``out``, ``files`` (name: bytes), how many ``meshes``, and whose betas they are.
+        ``out``, ``files`` (name: bytes), how many ``meshes``, whose betas they are, and whose ``world``.
 
     Raises:
         InputError: there is no such result, it is damaged, a library is missing, the body is not the one fitted, films
@@ -58,10 +70,13 @@ def export_result(
     check_formats(formats)
     with resolve_result(source, (TEXTURE, RESULT)) as place:
         motion, space = load_motion(place.motion)
+        told = read_clip(clip) if clip else Clip()
+        world = clip_world(camera, told.camera, told.video.name if told.video else "")
+        motion = replace(motion, world=_with_up(world or motion.world, camera.world_up))
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = load_fitted_body(motion, space, body or find_named_body(place.files / RESULT)) if surface else None
         texture = stored_png(place.files / TEXTURE) if (place.files / TEXTURE).exists() else None
-        exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
+        exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate, csv_frame)
         folder = out or place.new_folder("export", place.folder / _FOLDER)
         if out is None and place.fetched is None:
             check_tree(place.folder, _FOLDER)  # nobody's link may lead the files elsewhere
@@ -76,13 +91,26 @@ def export_result(
                 with progress.step("motion files"):
                     written = [write_motion_file(target, form, exported) for form in formats] + written
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
+    facts = describe_world(motion)
+    if facts.doubtful:
+        progress.say(f"hfb: {facts.says}")
     return {
         "out": str(folder.resolve()),
         "meshes": count,
         "files": {path.name: (folder / path.name).stat().st_size for path in written},
         "sub_frames": len(motion.times_s),
         "betas_space": space,
+        "world": facts.model_dump(),
     }
+
+
+def _with_up(world: World | None, up: WorldUp | None) -> World | None:
+    """Return a world with the axis that the user says is up. Raises InputError where it is no calibration's."""
+    if up is None:
+        return world
+    if world is None or world.source not in CALIBRATED:
+        raise InputError("--world-up is an axis of a calibration's world: give --clip with rotation and translation")
+    return world.model_copy(update={"up": up})
 
 
 def _draw_films(

@@ -74,6 +74,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         fit = fit_images(inputs, config, folder)
         exports = export_motion(fit.shot, fit.fitted.texture_image, config.export, folder)
         result = fit.facts() | {
+            **exports.facts(),
             "out": str(out.resolve()),
             "strip": str(out.resolve() / "strip.png"),
             "report": str(out.resolve() / REPORT) if config.export.report else None,

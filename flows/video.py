@@ -67,6 +67,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         exports = export_motion(fit.shot, fit.texture, config.export, folder)
         files = fit.files() | exports.by_name()
         result = fit.facts() | {
+            **exports.facts(),
             "seconds": round(time.perf_counter() - began, 3),
             "workers_busy": busy_share(),
             "out": str(out.resolve()),

@@ -71,6 +71,9 @@ def within(least: float, most: float) -> AfterValidator:
 FramesPerS = Annotated[float, Field(gt=0), within(1e-4, 1e6)]
 ExposureSeconds = Annotated[float, Field(gt=0), within(1e-8, 1e4)]
 FocalPx = Annotated[float, Field(gt=0), within(1, 1e7)]
+TiltDeg = Annotated[float, within(-89, 89)]
+RollDeg = Annotated[float, within(-180, 180)]
+WorldUp = Literal["z", "-z", "y", "-y"]
 
 
 class BodyConfig(Record):
@@ -83,6 +86,15 @@ class CameraConfig(Record):
     """The pinhole camera; a calibration in clip.toml has priority over the guess."""
 
     focal_px: FocalPx | None = Field(None, description="focal length [px]; the picture's diagonal when not given")
+    tilt_deg: TiltDeg | None = Field(
+        None, description="for exports: degrees by which the camera looks down; wins over a calibration's pose"
+    )
+    roll_deg: RollDeg | None = Field(
+        None, description="for exports: degrees by which what stands upright leans to the right in the picture"
+    )
+    world_up: WorldUp | None = Field(
+        None, description="axis of the calibration's world that points up; z when not given"
+    )
 
 
 class ExposureConfig(Record):
@@ -336,6 +348,7 @@ def _number(value: Any) -> Any:
     return int(value) if isinstance(value, str) and value.isdecimal() else value
 
 
+CsvFrame = Literal["camera", "world"]
 AmassRate = Annotated[Literal[30, 60, 120], BeforeValidator(_number)]
 
 
@@ -347,6 +360,7 @@ class ExportConfig(Record):
         description="motion files, such as glb,bvh: amass, glb, bvh, csv, trc, c3d (needs hfb[c3d]), or none",
     )
     amass_rate: AmassRate = Field(120, description="poses per second in amass.npz")
+    csv_frame: CsvFrame = Field("camera", description="coordinates in joints.csv; the other files are in the world")
     films: Annotated[tuple[Film, ...], BeforeValidator(_words)] = Field(
         ("slowmotion", "overlay"),
         description="videos: slowmotion, exact (one picture per sub-frame, at its true time), overlay, or none",

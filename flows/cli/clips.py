@@ -31,6 +31,8 @@ VIDEO_KEYS = (
     "resumed_frames",
     "matte_iou",
     "psnr_db",
+    "foot_skate_mm",
+    "world",
     "mpjpe_mm",
     "worst_jump_mm",
     "worst_velocity_share",

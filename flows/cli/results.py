@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from hfb.config import ExportConfig, Film, MeshFormat, MotionFormat
+from hfb.config import CameraConfig, ExportConfig, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
 from hfb.flows.runtime.session import libraries, open_session, output_folder_of, tell
+from hfb.io.toml_file import to_record
 
 _MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
 _FILMS: tuple[Film, ...] = get_args(Film)
 _ALL = (*get_args(MotionFormat), *_MESHES)
+_PLACE = ("tilt_deg", "roll_deg", "world_up")
 _RATE = ExportConfig().amass_rate
 
 
@@ -28,6 +30,11 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
     add("source", metavar="RESULT", help="a result's folder, a motion.npz, or the id of a recorded run")
     add("--formats", metavar="NAME,...", help=f"of {', '.join(_ALL)}; obj and ply are a mesh per sub-frame [{shown}]")
     add("--amass-rate", type=int, choices=(30, 60, 120), help=f"poses per second in amass.npz [{_RATE}]")
+    add("--csv-frame", choices=("camera", "world"), default="camera", help="coordinates in joints.csv [camera]")
+    add("--clip", type=Path, metavar="clip.toml", help="the camera's place in the world, as rotation and translation")
+    for name in _PLACE:
+        described = CameraConfig.model_fields[name].description
+        add(f"--{name.replace('_', '-')}", dest=name, metavar="AXIS" if name == "world_up" else "X", help=described)
     add("--films", metavar="NAME,...", help=f"of {', '.join(_FILMS)}: drawn again from the result and its pictures")
     add("--inputs", type=Path, metavar="DIR", help="where the pictures lie, for films, if they were moved")
     add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")
@@ -41,12 +48,24 @@ def export(args: argparse.Namespace) -> None:
     """
     films = parse_films(args.films)
     formats, meshes = parse_formats(args.formats) if args.formats or not films else ((), ())
+    given = {name: getattr(args, name) for name in _PLACE if getattr(args, name) is not None}
+    camera = to_record(CameraConfig, given, "options")
     with open_session(args, args.out or output_folder_of(args.source), recorded=False):
         with libraries():
             from hfb.flows.export import export_result
         rate = args.amass_rate or _RATE
         result = export_result(
-            args.source, args.out, formats, meshes, body=args.body, amass_rate=rate, films=films, inputs=args.inputs
+            args.source,
+            args.out,
+            formats,
+            meshes,
+            body=args.body,
+            amass_rate=rate,
+            films=films,
+            inputs=args.inputs,
+            csv_frame=args.csv_frame,
+            camera=camera,
+            clip=args.clip,
         )
     tell(args, result, export_text(result))
 

@@ -40,7 +40,17 @@ class Row(NamedTuple):
 
 
 _PLACES = ("out", "strip", "report", "mlflow_run_id")
-FIT_KEYS = ("matte_iou", "psnr_db", "fit_seconds", *_PLACES, "directions", "unknown", "warnings")
+FIT_KEYS = (
+    "matte_iou",
+    "psnr_db",
+    "foot_skate_mm",
+    "world",
+    "fit_seconds",
+    *_PLACES,
+    "directions",
+    "unknown",
+    "warnings",
+)
 DEMO_KEYS = (
     "initial_mpjpe_mm",
     "mpjpe_mm",

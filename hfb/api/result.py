@@ -2,6 +2,7 @@
 
 import difflib
 import html
+import logging
 import shutil
 import tempfile
 import weakref
@@ -16,10 +17,11 @@ import numpy as np
 from hfb.api.given_images import errors_of_calls
 from hfb.body.assets import load_body as load_any_body
 from hfb.body.model import BetasSpace, Body
-from hfb.config import MotionFormat
+from hfb.config import CsvFrame, MotionFormat
 from hfb.errors import InputError
 from hfb.fitting.alternatives import Alternatives, load_alternatives
 from hfb.interop.writers.export_names import CURVES, FILE_NAMES, RECORD, REPORT, RESULT, check_formats
+from hfb.interop.writers.export_world import describe_world
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, stored_png
 from hfb.motion.motion_file import load_motion
@@ -44,6 +46,7 @@ from hfb.typing import Array, Float, Int
 
 _FILES = ("motion.npz", "alternatives.npz", "texture.png", "strip.png", CURVES, "edges.json")
 _VIEWER_PX = 640
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -215,13 +218,14 @@ class Result:
             write_page(parts, self.body, hidden_in(self.facts), environment(), path=made / REPORT, name=name)
         return target / REPORT
 
-    def export(self, *formats: str, folder: str | Path | None = None) -> list[Path]:
-        """Write motion files for other programs.
+    def export(self, *formats: str, folder: str | Path | None = None, csv_frame: CsvFrame = "camera") -> list[Path]:
+        """Write motion files for other programs, in world coordinates; it is said where the camera is taken as level.
 
         Args:
             *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"`` or ``"c3d"``.
             folder: where they go; ``export`` in the result's own folder where it was loaded, else in the working
                 directory.
+            csv_frame: coordinates in joints.csv.
 
         Returns:
             the files, in the order of the formats.
@@ -236,10 +240,12 @@ class Result:
         check_formats(known)
         target = self._beside(folder, "export")
         png = stored_png(self._files["texture.png"]) if "texture.png" in self._files else None
-        exported = Exported(self.motion, self.betas_space, self.body, png)
+        exported = Exported(self.motion, self.betas_space, self.body, png, csv_frame=csv_frame)
         with errors_of_calls(), beside_result(target, [FILE_NAMES[form] for form in known]) as made:
             for form in known:
                 write_motion_file(made, form, exported)
+        if (world := describe_world(self.motion)).doubtful:
+            _log.warning(world.says)
         return [target / FILE_NAMES[form] for form in known]
 
     def show(self) -> Viewer:

@@ -12,6 +12,11 @@
     K = [[1460, 0, 640], [0, 1460, 360], [0, 0, 1]]
     calibration = "Calib.toml"     # or a file: Pose2Sim's, OpenCV's, ROS', Kalibr's
     name = "cam01"                 # which of its cameras
+    rotation = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]   # world to camera, as OpenCV has it, for exports
+    translation = [0, 1.2, 4]      # world to camera [m]
+    world_up = "z"                 # axis of that world that points up (default), or "-z", "y", "-y"
+    tilt_deg = 12.0                # or the camera's direction alone: it looks down by so much
+    roll_deg = 0.0                 # what stands upright leans to the right in the image by so much
 
     [exposure]
     fps = 30.0
@@ -34,15 +39,15 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from hfb.config import ExposureSeconds, FocalPx, FramesPerS, HeightM, Record, within
+from hfb.config import ExposureSeconds, FocalPx, FramesPerS, HeightM, Record, RollDeg, TiltDeg, WorldUp, within
 from hfb.errors import InputError
+from hfb.geometry.world import Row, Rows, rotation_fault
 from hfb.io.toml_file import read_toml, to_record
 
 BACKGROUND_WORDS = ("median", "still")
 """Backgrounds that are made from the clip itself."""
 
 _MOST_FRAMES, _LONGEST_S, _LARGEST_PX = 10**9, 1e10, 1e7
-_Row = tuple[float, float, float]
 
 
 class _ClipRecord(Record):
@@ -52,12 +57,39 @@ class _ClipRecord(Record):
 
 
 class ClipCamera(_ClipRecord):
-    """A calibration of the full image [px]; the centre of pixel (0, 0) is at (0.5, 0.5)."""
+    """A calibration of the full image [px]; the centre of pixel (0, 0) is at (0.5, 0.5).
+
+    Attributes:
+        rotation: world to camera, x = R X + t; it wins over that of the calibration file.
+        translation: world to camera [m].
+    """
 
     focal_px: FocalPx | None = None
-    K: tuple[_Row, _Row, _Row] | None = None
+    K: Rows | None = None
     calibration: Path | None = None
     name: str | None = None
+    rotation: Rows | None = None
+    translation: Row | None = None
+    world_up: WorldUp | None = None
+    tilt_deg: TiltDeg | None = None
+    roll_deg: RollDeg | None = None
+
+    @property
+    def has_lens(self) -> bool:
+        """Whether a focal length is known."""
+        return self.focal_px is not None or self.K is not None or self.calibration is not None
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> "ClipCamera":
+        if (self.rotation is None) != (self.translation is None):
+            raise ValueError("give rotation and translation of the camera, or neither")
+        if self.rotation is None:
+            return self
+        if self.tilt_deg is not None or self.roll_deg is not None:
+            raise ValueError("give rotation and translation, or tilt_deg and roll_deg, not both")
+        if fault := rotation_fault(self.rotation):
+            raise ValueError(f"rotation {fault}")
+        return self
 
     @model_validator(mode="after")
     def _one_calibration(self) -> "ClipCamera":

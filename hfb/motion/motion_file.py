@@ -5,8 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from hfb.errors import InputError
+from hfb.geometry.world import World, rotation_fault
 from hfb.io.array_files import read_arrays
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.sampled import SampledMotion
@@ -14,6 +16,7 @@ from hfb.typing import Array
 
 _ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
 _OPTIONAL = ("joint_radius_mm",)
+_WORLD = ("R_world_camera", "t_world_camera", "world_up", "world_source")
 _LARGEST = {
     "poses": 1e4,
     "trans": 1e6,
@@ -37,6 +40,9 @@ def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
         betas_space: space of the shape coefficients: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
     """
     known = {name: getattr(motion, name) for name in (*_ARRAYS, *_OPTIONAL) if getattr(motion, name) is not None}
+    if (world := motion.world) is not None:
+        parts = (world.rotation, world.translation, world.up, world.source)
+        known |= {name: np.array(part) for name, part in zip(_WORLD, parts, strict=True)}
     return known | {"betas_space": np.array(betas_space)}
 
 
@@ -73,10 +79,11 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
         InputError: not a motion file, or a damaged one.
     """
     try:
-        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, "betas_space"))
+        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, *_WORLD, "betas_space"))
         _check(found)
         names = (*_ARRAYS, *(name for name in _OPTIONAL if name in found))
-        return SampledMotion(**{name: found[name] for name in names}), str(found["betas_space"])
+        parts = {name: found[name] for name in names}
+        return SampledMotion(**parts, world=_world(found)), str(found["betas_space"])
     except FileNotFoundError:
         raise InputError(f"there is no motion file at {path}: name a finished result, or make it again") from None
     except (KeyError, ValueError, OSError) as error:
@@ -110,6 +117,22 @@ def _check(found: Mapping[str, Array]) -> None:
         if name in found and np.nanmax(np.abs(found[name]), initial=0, where=np.isfinite(found[name])) > largest:
             raise ValueError(f"its {name} has a number beyond {largest:g}")
     _check_clock(found["times_s"], found["frame_index"])
+
+
+def _world(found: Mapping[str, Array]) -> World | None:
+    """Return the world; None in files that have none. Raises KeyError or ValueError where it is damaged."""
+    if _WORLD[0] not in found:
+        return None
+    values = [found[name].tolist() for name in _WORLD]
+    try:
+        world = World.model_validate(dict(zip(("rotation", "translation", "up", "source"), values, strict=True)))
+    except ValidationError:
+        raise ValueError("its world is none") from None
+    if fault := rotation_fault(world.rotation):
+        raise ValueError(f"its R_world_camera {fault}")
+    if not all(abs(value) < _LARGEST["trans"] for value in world.translation):
+        raise ValueError("its t_world_camera is not finite, or beyond any place")
+    return world
 
 
 def _check_clock(times_s: Array, frame_index: Array) -> None:

@@ -8,6 +8,7 @@ import torch
 
 from hfb.body.model import Body, ShapedBody
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.geometry.world import LEVEL, World
 from hfb.motion.clock import subframe_clock, subframe_times_s
 from hfb.motion.trajectory import Trajectory
 from hfb.typing import Array, Float, Int, Tensor
@@ -27,6 +28,7 @@ class SampledMotion:
         K: camera matrix of the full image [px].
         joint_radius_mm: median error of each joint about the pelvis (after one rotation of the sequence), where the
             method estimates it; zero for the pelvis.
+        world: of exports; None where nothing is known of it.
     """
 
     poses: Float[Array, "R 72"]
@@ -37,6 +39,12 @@ class SampledMotion:
     frame_index: Int[Array, "R"]
     K: Float[Array, "3 3"]
     joint_radius_mm: Float[Array, "R 24"] | None = None
+    world: World | None = None
+
+    @property
+    def export_world(self) -> World:
+        """The world of exports; the camera is taken as level where nothing is known of it."""
+        return self.world or LEVEL
 
     def rows_of(self, frame: int) -> Int[Array, "S"]:
         """Return the row numbers of one frame's sub-frames, in time.

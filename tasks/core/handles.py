@@ -16,6 +16,7 @@ from typing import Any, Literal, Self, TypeVar, cast
 from pydantic import BaseModel
 
 from hfb.config import Record
+from hfb.geometry.world import World
 from hfb.io.safe_folder import check_readable
 
 T = TypeVar("T")
@@ -90,6 +91,7 @@ class ClipHandle(Record):
 
     Attributes:
         remarks: sentences for the user.
+        world: of exports; None where nothing is known of it.
     """
 
     frames: tuple[FrameHandle, ...]
@@ -102,6 +104,7 @@ class ClipHandle(Record):
     transfer: Literal["srgb", "linear", "bt709", "gamma22"]
     light: Literal["srgb", "linear"]
     remarks: tuple[str, ...] = ()
+    world: World | None = None
 
     def only(self, index: int) -> ClipHandle:
         """Return one frame as a clip of its own.

@@ -8,10 +8,9 @@ from typing import Literal
 from pydantic import Field
 
 from hfb.config import Record
+from hfb.geometry.world import Rows, World
 from hfb.io.clip import PersonChoice
 from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle
-
-_Row = tuple[float, float, float]
 
 
 class FootageHandle(FileHandle):
@@ -21,18 +20,20 @@ class FootageHandle(FileHandle):
         count: frames that can be decoded, after averaging.
         bits: of the images that its frames are stored as.
         remarks: sentences for the user.
+        world: of exports; None where nothing is known of it. No frame's fit depends on it.
     """
 
     count: int
     height: int
     width: int
-    K: tuple[_Row, _Row, _Row]
+    K: Rows
     exposure_s: float
     interval_s: float
     transfer: Literal["srgb", "linear"]
     light: Literal["srgb", "linear"]
     bits: Literal[8, 16]
     remarks: tuple[str, ...]
+    world: World | None = None
 
     def clip(self, frames: tuple[FrameHandle, ...], background: FileHandle) -> ClipHandle:
         """Return some frames as a clip of their own.

@@ -7,6 +7,7 @@ from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip
 from hfb.io.media.images.image_decoding import doubt_depths
+from hfb.io.media.lens.camera_pose import clip_world
 from hfb.io.media.lens.clip_lens import check_pinhole
 from hfb.matting.exposure_match import NO_GAIN, frame_gain, in_plate_exposure
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
@@ -88,6 +89,7 @@ def prepare(
         transfer=clip.transfer,
         light=exposure.light,
         remarks=(*images.remarks(), *check_pinhole(K, height, width), *doubts),
+        world=clip_world(camera, clip.camera, frames[0].path.name),
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from hfb.config import OWN_NETWORKS, ExposureConfig, InitConfig, Record, RunConfig
 from hfb.errors import InputError
 from hfb.interop.writers.export_names import check_formats
-from hfb.io.clip import Clip, ClipCamera, ClipExposure, read_clip
+from hfb.io.clip import Clip, ClipExposure, read_clip
 from hfb.io.names import is_text
 from hfb.networks.mediapipe_files import LandmarkChoice, networks_in_use
 from hfb.tasks.core.handles import FileHandle, files_in
@@ -112,7 +112,7 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
         config: all options.
     """
     clip, remarks = inputs.clip, []
-    if config.camera.focal_px is None and clip.camera == ClipCamera():
+    if config.camera.focal_px is None and not clip.camera.has_lens:
         remarks.append(
             "no calibration given: assuming a focal length of the picture's diagonal (--clip or --camera.focal-px)"
         )
@@ -168,6 +168,7 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
     if clip.camera.calibration is None:
         return clip
     from hfb.io.media.images.image_io import picture_size
+    from hfb.io.media.lens.camera_pose import calibrated_pose
     from hfb.io.media.lens.clip_lens import clip_lens
 
     height, width, _ = picture_size(picture)
@@ -177,7 +178,10 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
             f"{clip.camera.calibration}: this lens distorts; undistort the pictures and give K, or use `hfb video`, "
             "which undistorts by itself"
         )
-    return clip.model_copy(update={"camera": ClipCamera(K=lens.pinhole() if lens else None)})
+    rotation, translation = calibrated_pose(clip.camera, picture.name) or (None, None)
+    numbers = {"K": lens.pinhole() if lens else None, "rotation": rotation, "translation": translation}
+    camera = clip.camera.model_copy(update={"calibration": None, "name": None, **numbers})
+    return clip.model_copy(update={"camera": camera})
 
 
 def optional_file(path: Path | None) -> FileHandle | None:

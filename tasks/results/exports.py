@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from hfb.config import ExportConfig, Film, FitConfig, Record
 from hfb.errors import InputError
+from hfb.geometry.world import WorldFacts
 from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.task import task
@@ -28,10 +29,19 @@ class ExportsHandle(Record):
     Attributes:
         files: the files.
         left_out: why a format has no file, one sentence each.
+        world: that of the motion files.
     """
 
     files: tuple[FileHandle, ...]
     left_out: tuple[str, ...] = ()
+    world: WorldFacts | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """Return the world of the motion files, and how far feet slide in it, for result.json."""
+        if self.world is None:
+            return {}
+        world = self.world.model_dump()
+        return {"foot_skate_mm": world.pop("foot_skate_mm"), "world": world}
 
     def by_name(self) -> dict[str, FileHandle]:
         """Return name -> file."""
@@ -88,6 +98,7 @@ def write_motion_files(
         config: which formats.
         folder: where the files go.
     """
+    from hfb.interop.writers.export_world import describe_world
     from hfb.interop.writers.motion_exports import Exported, write_motion_file
     from hfb.motion.motion_file import load_motion
     from hfb.tasks.core.scene import load_chosen_body
@@ -99,6 +110,7 @@ def write_motion_files(
         load_chosen_body(body) if set(config.formats) & set(NEEDS_BODY) else None,
         texture.path.read_bytes() if texture else None,
         config.amass_rate,
+        config.csv_frame,
     )
     files, left_out = [], []
     for form in dict.fromkeys(config.formats):
@@ -106,7 +118,7 @@ def write_motion_files(
             files.append(FileHandle.of(write_motion_file(folder, form, exported)))
         except InputError as error:  # the motion is found: a format that cannot hold it does not keep it back
             left_out.append(f"there is no {FILE_NAMES[form]}: {error}")
-    return ExportsHandle(files=tuple(files), left_out=tuple(left_out))
+    return ExportsHandle(files=tuple(files), left_out=tuple(left_out), world=describe_world(moving))
 
 
 def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, folder: Path) -> ExportsHandle:
@@ -119,11 +131,12 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
         folder: where the files go.
     """
     written = write_motion_files(motion=shot.motion, texture=texture, body=shot.body, config=config, folder=folder)
-    for reason in written.left_out:
+    doubts = (written.world.says,) if config.formats and written.world and written.world.doubtful else ()
+    for reason in (*written.left_out, *doubts):
         progress.say(f"hfb: {reason}")
     films = tuple(dict.fromkeys(config.films))
     drawn = draw_films(shot, films, folder).files if films else ()
-    return ExportsHandle(files=(*written.files, *drawn), left_out=written.left_out)
+    return written.model_copy(update={"files": (*written.files, *drawn)})
 
 
 @task("films")

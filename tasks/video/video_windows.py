@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from hfb.config import FitConfig
@@ -248,6 +248,7 @@ def join_clip(
     from hfb.fitting.clip.join import join_windows
     from hfb.fitting.clip.windows import load_window
     from hfb.fitting.identity import load_identity
+    from hfb.motion.gravity import world_of_walk
     from hfb.motion.motion_file import save_motion
     from hfb.tasks.core.scene import load_chosen_body
     from hfb.tasks.video.video_clip import load_timing
@@ -262,7 +263,8 @@ def join_clip(
         K=np.array(footage.K),
         longest_fill=longest_fill,
     )
-    save_motion(folder / "motion.npz", joined.motion, model.betas_space)
+    world = footage.world or world_of_walk(joined.motion)
+    save_motion(folder / "motion.npz", replace(joined.motion, world=world), model.betas_space)
     told = {
         "edges": [asdict(edge) for edge in joined.edges],
         "turned": [asdict(one) for one in joined.turned],

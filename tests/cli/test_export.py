@@ -66,6 +66,34 @@ def test_a_motion_file_and_meshes_on_request(result: Path, tmp_path: Path, capsy
     assert "meshes/" in capsys.readouterr().out
 
 
+def test_the_world_of_exports(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A result without a world is exported as of a level camera, which is said; options and clip.toml tell it."""
+    words = ["export", str(result), "--formats", "csv", "--csv-frame", "world", "--json"]
+    assert main(words) == 0
+    shown = capsys.readouterr()
+    assert "the camera is taken as level in exports: give --camera.tilt-deg" in shown.err
+    assert json.loads(shown.out.splitlines()[-1])["world"]["source"] == "level"
+    assert main([*words, "--tilt-deg", "40"]) == 0
+    shown = capsys.readouterr()
+    assert "level" not in shown.err
+    told = json.loads(shown.out.splitlines()[-1])["world"]
+    assert (told["source"], told["tilt_deg"]) == ("options", 40)
+
+    clip = tmp_path / "clip.toml"
+    clip.write_text("[camera]\nrotation = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]\ntranslation = [0, 1.5, 0]\n")
+    assert main([*words, "--clip", str(clip)]) == 0
+    assert said(capsys)["world"]["source"] == "calibration"
+    row = (result / "export" / "joints.csv").read_text().splitlines()[1].split(",")
+    x, y, z = MOTION.joints[0, 0]
+    np.testing.assert_allclose([float(cell) for cell in row[3:6]], [x, z, 1.5 - y], atol=1e-6)
+    assert main([*words, "--clip", str(clip), "--world-up=-y"]) == 0
+    assert said(capsys)["world"]["up"] == "-y"
+    assert main([*words, "--world-up=-y"]) == 2
+    assert "--clip" in said(capsys)["error"]
+    assert main([*words, "--tilt-deg", "91"]) == 2
+    assert "tilt_deg" in said(capsys)["error"]
+
+
 def test_what_hfb_did_not_write_is_not_replaced(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

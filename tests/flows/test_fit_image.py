@@ -12,7 +12,8 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
-from hfb.config import DirectionsConfig, ExportConfig, FitConfig, InitConfig, RunConfig, Stage
+from hfb.config import CameraConfig, DirectionsConfig, ExportConfig, FitConfig, InitConfig, RunConfig, Stage
+from hfb.datasets.real.markers import read_trc
 from hfb.errors import InputError
 from hfb.evaluation.metrics import soft_iou
 from hfb.evaluation.protocol import reblur
@@ -47,12 +48,32 @@ def stamps(folder: Path) -> dict[str, int]:
     return {name: (folder / "intermediate" / name).stat().st_mtime_ns for name in ARTIFACTS}
 
 
+def test_a_calibration_and_a_direction_reach_the_exports(problem: Problem, store: Path, tmp_path: Path) -> None:
+    clip = tmp_path / "clip.toml"
+    pose = "rotation = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]\ntranslation = [0.0, 1.5, 0.0]\n"
+    clip.write_text(f"[camera]\nfocal_px = 700.0\n{pose}")
+    formats = TINY.model_copy(update={"export": ExportConfig(formats=("trc",), films=(), report=False)})
+    given = [problem.first_body]
+    result = fit_image([problem.frame], problem.background, tmp_path / "out", formats, clip=clip, first_bodies=given)
+    assert (result["world"]["source"], result["world"]["up"]) == ("calibration", "z")
+    motion, _ = load_motion(tmp_path / "out" / "motion.npz")
+    assert motion.world is not None
+    read = read_trc(tmp_path / "out" / "joints.trc").turned().xyz_m[0, 0]
+    x, y, z = motion.joints[0, 0]
+    np.testing.assert_allclose(read, [x, z, 1.5 - y], atol=1e-3)
+    tilted = formats.model_copy(update={"camera": CameraConfig(tilt_deg=17)})
+    result = fit_image([problem.frame], problem.background, tmp_path / "out", tilted, clip=clip, first_bodies=given)
+    assert (result["world"]["source"], result["world"]["tilt_deg"]) == ("options", 17)
+
+
 def test_results_and_record(problem: Problem, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     result = fit_image([problem.frame], problem.background, out, TINY)
 
     assert {"matte_iou", "psnr_db", "fit_seconds", "out", "strip", "mlflow_run_id"} <= result.keys()
     assert json.loads((out / "result.json").read_text()) == result
+    assert result["world"]["source"] == "level"
+    assert "--camera.tilt-deg" in result["world"]["says"]
     with np.load(out / "motion.npz", allow_pickle=False) as motion:
         shapes = {name: motion[name].shape for name in motion.files}
     assert shapes["poses"] == (2, 72)

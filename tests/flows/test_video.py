@@ -49,6 +49,8 @@ def test_results_and_record() -> None:
     assert (np.diff(motion.times_s) > 0).all()
     assert result["exposure_gain"] == [[1.0, 1.0, 1.0]] * FRAMES
     assert result["worst_jump_mm"] < 2
+    assert result["world"]["source"] == "level"
+    assert result["foot_skate_mm"] is None or 0 <= result["foot_skate_mm"] < 50
     assert result["worst_velocity_share"] < 0.02
     assert 0.4 < result["matte_iou"] < 1
     assert 10 < result["mpjpe_mm"] < 400

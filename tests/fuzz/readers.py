@@ -8,7 +8,7 @@ from typing import Any
 
 from hfb.body.assets import load_default_body
 from hfb.body.smpl_file import read_smpl
-from hfb.config import RunConfig
+from hfb.config import CameraConfig, RunConfig
 from hfb.datasets.case import Case, load_case
 from hfb.datasets.motions.folder import FolderMotions
 from hfb.datasets.real.markers import read_joints_npz, read_trc
@@ -23,6 +23,7 @@ from hfb.io.clip import ClipCamera, read_clip
 from hfb.io.media.footage import open_footage
 from hfb.io.media.images.image_io import picture_size, read_matte, read_picture_srgb, recorded_exposure
 from hfb.io.media.lens.camera_files import read_calibration
+from hfb.io.media.lens.camera_pose import clip_world
 from hfb.io.media.lens.clip_lens import clip_lens
 from hfb.io.media.video.video_reading import read_frames
 from hfb.io.toml_file import read_toml, to_record
@@ -66,6 +67,10 @@ def _markers(path: Path) -> Any:
     return read_trc(path) if path.suffix == ".trc" else read_joints_npz(path)
 
 
+def _pose(path: Path) -> Any:
+    return clip_world(CameraConfig(), ClipCamera(calibration=path), "cam01_walk.mp4")
+
+
 def _lens(path: Path) -> Any:
     return clip_lens(ClipCamera(calibration=path), "cam01_walk.mp4", 480, 640)
 
@@ -78,7 +83,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "video": (_footage, _frames, lambda path: _timing(path, None)),
     "clip": (read_clip, lambda path: resolve_source(path, None)),
     "options": (lambda path: to_record(RunConfig, read_toml(path), str(path)),),
-    "calibration": (read_calibration, _lens),
+    "calibration": (read_calibration, _lens, _pose),
     "tracks": (
         lambda path: read_track(path, None, ClipFrames(12)),
         lambda path: read_track_names(path, ClipFrames(12)),

@@ -33,9 +33,9 @@ from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.initializer import make_initializer
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.clip import ClipCamera
 from hfb.io.media.images.image_io import write_matte, write_png
 from hfb.io.media.lens.camera_files import CalibratedCamera
+from hfb.io.media.lens.camera_pose import FARTHEST_M
 from hfb.photometry import linear_to_srgb
 from hfb.rendering.backends import make_rasterizer
 from hfb.typing import Array, Float
@@ -91,7 +91,7 @@ def make_real_case(spec: RealSpec, number: int, window: RealWindow, folder: Path
     assert joints is not None
     sharp = _write_pictures(folder, exposures, small_plate)
     _write_truth(folder / "truth.npz", joints, shutter)
-    write_bytes_atomic(folder / "clip.toml", _clip_toml(view.camera, shutter).encode())
+    write_bytes_atomic(folder / "clip.toml", _clip_toml(view.camera, calibrated, shutter).encode())
     facts = _facts(spec, number, window, view, shutter, exposures, joints) | {"sharp": sharp}
     write_bytes_atomic(folder / "case.json", json.dumps(facts, indent=2, allow_nan=False).encode())
     return load_case(folder)
@@ -129,7 +129,7 @@ def _full_camera(footage: Footage, calibrated: CalibratedCamera | None, height: 
 def _camera_source(footage: Footage, calibrated: CalibratedCamera | None) -> str:
     if calibrated is not None:
         return "calibration"
-    return "assumed" if footage.clip.camera == ClipCamera() else "clip.toml"
+    return "clip.toml" if footage.clip.camera.has_lens else "assumed"
 
 
 def _write_pictures(folder: Path, exposures: list[Exposure], plate: Float[Array, "H W 3"]) -> list[list[int]]:
@@ -159,10 +159,13 @@ def _write_truth(path: Path, joints: SeenJoints, shutter: Shutter) -> None:
     )
 
 
-def _clip_toml(camera: PinholeCamera, shutter: Shutter) -> str:
-    rows = ", ".join("[" + ", ".join(repr(float(value)) for value in row) + "]" for row in camera.matrix().tolist())
+def _clip_toml(camera: PinholeCamera, calibrated: CalibratedCamera | None, shutter: Shutter) -> str:
+    pose = ""
+    if calibrated is not None and 0 < np.linalg.norm(calibrated.t_m) <= FARTHEST_M:
+        pose = f"rotation = {calibrated.R_camera_world.tolist()}\ntranslation = {calibrated.t_m.tolist()}\n"
     return (
-        f"# The mean of {shutter.average} frames of a video in linear light.\n[camera]\nK = [{rows}]\n\n"
+        f"# The mean of {shutter.average} frames of a video in linear light.\n"
+        f"[camera]\nK = {camera.matrix().tolist()}\n{pose}\n"
         f"[exposure]\nfps = {1 / shutter.interval_s!r}\nseconds = {shutter.exposure_s!r}\n"
     )
 

@@ -7,6 +7,7 @@ import torch
 
 from hfb.body.model import BetasSpace
 from hfb.config import AmassRate
+from hfb.geometry.placement import z_up
 from hfb.geometry.rotations import quaternion_to_axis_angle
 from hfb.interop.writers.keys import even_keys, rest_joints, turned
 from hfb.motion.motion_file import write_arrays
@@ -14,8 +15,6 @@ from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array
 
 _COLUMNS, _BODY_COLUMNS, _BETAS, _DMPLS = 156, 66, 16, 8
-_Z_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
-"""Rotation (w, x, y, z) from the camera's frame to AMASS's: x stays, the camera looks along +y, z is up."""
 
 
 def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate = 120) -> dict[str, Array]:
@@ -25,9 +24,9 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
     ``gender``, ``mocap_framerate``. Readers would take other betas for SMPL's, so ``betas`` is zero then, and they are
     in ``hfb_betas``. Additional members, under names that no AMASS tool uses, are ``hfb_joints`` (F, 24, 3) m in the
     same world, ``hfb_times_s``, ``hfb_observed`` (the shutter was open), ``hfb_present`` (the person was there),
-    ``betas_space``.
+    ``betas_space``, ``hfb_world`` (whose world it is, `World.source`).
 
-    The camera is assumed to be level: up in the image is up in the world.
+    The world is the motion's with z up; of a level camera it looks along +y.
 
     Args:
         motion: camera coordinates.
@@ -38,11 +37,11 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
         InputError: the motion's instants are not in order.
     """
     keys = even_keys(motion, float(rate))
-    rest = rest_joints(motion)
+    rest, placed = rest_joints(motion), z_up(motion.export_world)
     poses = np.zeros((len(keys.times_s), _COLUMNS))
-    rotations = quaternion_to_axis_angle(torch.from_numpy(turned(keys.quaternions, _Z_UP))).numpy()
+    rotations = quaternion_to_axis_angle(torch.from_numpy(turned(keys.quaternions, placed.quaternion()))).numpy()
     poses[:, :_BODY_COLUMNS] = rotations.reshape(len(poses), -1)[:, :_BODY_COLUMNS]
-    joints = np.stack([keys.places[..., 0], keys.places[..., 2], -keys.places[..., 1]], -1)
+    joints = placed.points(keys.places)
     betas = np.zeros(_BETAS)
     if betas_space == "smpl":
         betas[: len(motion.betas)] = motion.betas
@@ -59,6 +58,7 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
         "hfb_present": keys.present,
         "hfb_betas": motion.betas,
         "betas_space": np.array(betas_space),
+        "hfb_world": np.array(motion.export_world.source),
     }
 
 

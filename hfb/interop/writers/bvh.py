@@ -1,4 +1,4 @@
-"""motion.bvh: a skeleton and its angles, as text; metres, y up.
+"""motion.bvh: a skeleton and its angles, as text; metres, the motion's world with y up.
 
 Offsets are the person's own bones in the rest pose (T, facing +z). The root's offset is zero and its position channels
 are its position, so that programs that add the two and those that do not agree. Rows have the rate of the sub-frames:
@@ -12,12 +12,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hfb.body.skeleton import JOINT_NAMES, PARENTS
+from hfb.geometry.placement import y_up
 from hfb.interop.writers.keys import even_keys, rest_joints, subframe_rate_hz, turned
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Float
 
-_Y_UP = np.array([0.0, 1.0, 0.0, 0.0])  # half a turn about x: from the camera's frame to one with y up
 _ORDER = "ZXY"  # outermost first, as the channels are written
 _END = 0.5  # an end site continues the bone before it by this share
 
@@ -33,9 +33,9 @@ def bvh_text(motion: SampledMotion) -> str:
     """
     rate = subframe_rate_hz(motion)
     keys = even_keys(motion, rate)
-    rest = rest_joints(motion)
-    places = keys.places[:, 0] * [1.0, -1.0, -1.0]
-    angles = _angles(turned(keys.quaternions, _Y_UP))
+    rest, placed = rest_joints(motion), y_up(motion.export_world)
+    places = placed.points(keys.places[:, 0])
+    angles = _angles(turned(keys.quaternions, placed.quaternion()))
     order = _depth_first(0)
     rows = np.concatenate([places, angles[:, order].reshape(len(places), -1)], 1)
     lines = ["HIERARCHY", *_joint(0, rest, 0), "MOTION", f"Frames: {len(rows)}", f"Frame Time: {1 / rate:.10f}"]

@@ -8,6 +8,7 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
+from hfb.geometry.placement import z_up
 from hfb.interop.writers.export_names import check_formats
 from hfb.interop.writers.joint_tables import marker_table
 from hfb.io.atomic import write_bytes_atomic
@@ -19,7 +20,7 @@ _MOST_FRAMES = 65_000  # the format counts them in 16 bits
 
 
 def c3d_bytes(motion: SampledMotion) -> bytes:
-    """Return the file's bytes: millimetres, y up, the even rate of the sub-frames.
+    """Return the file's bytes: millimetres, the motion's world with z up, the even rate of the sub-frames.
 
     Points are marked lost while the person was absent (coordinates zero, residual -1).
 
@@ -32,12 +33,12 @@ def c3d_bytes(motion: SampledMotion) -> bytes:
     check_formats(["c3d"])
     import c3d
 
-    rate, _, places = marker_table(motion)
+    rate, _, places = marker_table(motion, z_up(motion.export_world))
     if len(places) > _MOST_FRAMES:
         raise InputError(f"{len(places)} rows do not fit into a C3D file, which counts up to 65 535: export a .trc")
     writer = c3d.Writer(point_rate=rate, point_units="mm")
     writer.set_point_labels(JOINT_NAMES)
-    writer.set_screen_axis("+X", "+Y")
+    writer.set_screen_axis("+X", "+Z")
     known = np.isfinite(places[..., :1])
     residual = np.where(known, 0.0, _LOST)
     points = np.concatenate([np.where(known, places, 0.0), residual, np.zeros_like(residual)], -1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The surface at every sub-frame as files of its own: .obj with texture, or .ply; metres, y up.
+"""The surface at every sub-frame as files of its own: .obj with texture, or .ply; metres, the motion's world with y up.
 
 Large (about 1 MB an .obj), hence on request only. Pose correctives of the model are in it, unlike in motion.glb.
 """
@@ -13,6 +13,7 @@ import torch
 from hfb.body.model import Body, ShapedBody
 from hfb.config import MeshFormat
 from hfb.errors import TemporaryError
+from hfb.geometry.placement import y_up
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.safe_folder import check_tree, is_regular
@@ -21,7 +22,6 @@ from hfb.typing import Array, Float, Int
 
 _MATERIAL, _TEXTURE = "person.mtl", "texture.png"
 _MATERIAL_TEXT = f"newmtl person\nKd 1 1 1\nillum 1\nmap_Kd {_TEXTURE}\n".encode()
-_Y_UP = np.array([1.0, -1.0, -1.0])
 _NAME = re.compile(r"frame_\d{4,}_sub_\d{2,}\.(obj|ply)")
 _MARK = "hfb, metres, y up"
 _TRIMESH_COMMENT = b"comment https://github.com/mikedh/trimesh"
@@ -106,7 +106,7 @@ def _posed(shaped: ShapedBody, motion: SampledMotion, row: int) -> Float[Array, 
     rotations = axis_angle_to_matrix(torch.from_numpy(motion.poses[row : row + 1]).to(dtype).unflatten(1, (24, 3)))
     with torch.no_grad():
         posed = shaped.pose(rotations, torch.from_numpy(motion.trans[row : row + 1]).to(dtype))
-    return posed.vertices[0].double().numpy() * _Y_UP
+    return y_up(motion.export_world).points(posed.vertices[0].double().numpy())
 
 
 def _obj_surface(body: Body, textured: bool) -> bytes:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hfb.body.model import BetasSpace, Body
-from hfb.config import AmassRate, MotionFormat
+from hfb.config import AmassRate, CsvFrame, MotionFormat
 from hfb.interop.writers.amass import write_amass
 from hfb.interop.writers.bvh import write_bvh
 from hfb.interop.writers.c3d_file import write_c3d
@@ -30,6 +30,7 @@ class Exported:
     body: Body | None = None
     texture_png: bytes | None = None
     amass_rate: AmassRate = 120
+    csv_frame: CsvFrame = "camera"
 
 
 def write_motion_file(folder: Path, form: MotionFormat, exported: Exported) -> Path:
@@ -59,7 +60,7 @@ _WRITERS: dict[MotionFormat, Callable[[Path, Exported], None]] = {
     "amass": lambda path, exported: write_amass(path, exported.motion, exported.betas_space, exported.amass_rate),
     "glb": _write_glb,
     "bvh": lambda path, exported: write_bvh(path, exported.motion),
-    "csv": lambda path, exported: write_csv(path, exported.motion),
+    "csv": lambda path, exported: write_csv(path, exported.motion, exported.csv_frame),
     "trc": lambda path, exported: write_trc(path, exported.motion),
     "c3d": lambda path, exported: write_c3d(path, exported.motion),
 }

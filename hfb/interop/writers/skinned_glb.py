@@ -1,7 +1,7 @@
 """motion.glb: the person with skin, skeleton, texture and two animations, in real time and in slow motion.
 
-The world is glTF's (metres, y up); the camera that took the images is at its origin and looks along -z, as glTF's own
-cameras do. One node turns the camera's frame into that world, so that joints and animations below it are those of
+The world is the motion's, in glTF's axes (metres, y up); a level camera is at its origin and looks along -z, as glTF's
+own cameras do. One node moves the camera's frame into that world, so that joints and animations below it are those of
 motion.npz. Each animation has one key per sub-frame, at its exact time.
 
 A model's pose correctives (SMPL's pose blend shapes) are no part of a skin: joints are exact with such a body, its
@@ -16,6 +16,7 @@ import torch
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from hfb.geometry.placement import y_up
 from hfb.interop.writers.gltf import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuffer
 from hfb.interop.writers.keys import MotionKeys, exact_keys, subframe_rate_hz
 from hfb.interop.writers.skin import skin_of
@@ -49,7 +50,7 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
     Raises:
         InputError: the motion's instants are not in order.
     """
-    keys = exact_keys(motion)
+    keys, placed = exact_keys(motion), y_up(motion.export_world)
     buffer = GlbBuffer()
     betas = torch.from_numpy(motion.betas).to(body.template.dtype)
     rest = body.rest_joints(betas).double().numpy()
@@ -58,7 +59,12 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
     bind[:, 3, :3] = -rest  # matrices lie by columns
     nodes = [
         {"name": body.name, "mesh": 0, "skin": 0},
-        {"name": "camera_frame", "rotation": [1.0, 0.0, 0.0, 0.0], "children": [_PELVIS]},
+        {
+            "name": "camera_frame",
+            "rotation": np.roll(placed.quaternion(), -1).tolist(),
+            "translation": placed.t.tolist(),
+            "children": [_PELVIS],
+        },
         *_joint_nodes(motion, keys, rest),
     ]
     document = {
@@ -102,6 +108,7 @@ def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
     return {
         "betas": [round(float(beta), 6) for beta in motion.betas],
         "betas_space": body.betas_space,
+        "world": motion.export_world.source,
         "body": body.name,
         "body_licence": body.licence,
         "slow_factor": round(slow_factor(motion), 9),

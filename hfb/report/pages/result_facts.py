@@ -33,6 +33,7 @@ class _Warning(_Stored):
 class _Figures(_Stored):
     matte_iou: _Figure = None
     psnr_db: _Figure = None
+    foot_skate_mm: _Figure = None
     mpjpe_mm: _Figure = None
     iou: _Figure = None
     seconds: _Figure = None

@@ -21,6 +21,7 @@ _FIGURES = (
     ("picture explained", "psnr_db", ".1f", " dB PSNR"),
     ("error (MPJPE)", "mpjpe_mm", ".1f", " mm"),
     ("IoU with the truth", "iou", ".3f", ""),
+    ("sliding of standing feet", "foot_skate_mm", ".1f", " mm per exposure"),
     ("frames", "frames", "d", ""),
     ("sub-frames", "sub_frames", "d", ""),
     ("fit", "fit_seconds", ".1f", " s"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hfb.errors import InputError
+from hfb.geometry.placement import world_of_pose
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
 
@@ -65,6 +66,30 @@ def test_how_far_off_joints_may_be_is_kept_where_it_is_known(tmp_path: Path) -> 
     np.testing.assert_array_equal(read.joint_radius_mm, radius)
     save_motion(path, motion(), "hfb")
     assert load_motion(path)[0].joint_radius_mm is None
+
+
+def test_the_world_is_kept_where_it_is_known(tmp_path: Path) -> None:
+    path, world = tmp_path / "motion.npz", world_of_pose(np.eye(3)[[1, 2, 0]], np.array([1.0, 2, 3]), "-z")
+    save_motion(path, replace(motion(), world=world), "hfb")
+    assert load_motion(path)[0].world == world
+    with np.load(path, allow_pickle=False) as file:
+        content = dict(file)
+    np.testing.assert_allclose(content["R_world_camera"] @ [1, 2, 3] + content["t_world_camera"], 0)
+    damages = {
+        "R_world_camera": np.diag([1.0, 1, -1]),
+        "t_world_camera": np.array([np.nan, 0, 0]),
+        "world_up": np.array("w"),
+        "world_source": np.array(3),
+    }
+    for name, damage in damages.items():
+        np.savez(path, **(content | {name: damage}))
+        with pytest.raises(InputError, match="world"):
+            load_motion(path)
+    np.savez(path, **{name: value for name, value in content.items() if name != "world_up"})
+    with pytest.raises(InputError, match="world_up"):
+        load_motion(path)
+    save_motion(path, motion(), "hfb")
+    assert load_motion(path)[0].world is None
 
 
 def test_what_would_fill_the_memory_is_refused(tmp_path: Path) -> None:

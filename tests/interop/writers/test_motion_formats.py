@@ -15,12 +15,15 @@ from hfb.datasets.motions.files.bvh import read_bvh
 from hfb.datasets.motions.files.smpl_motions import load_smpl_motion
 from hfb.datasets.real.markers import read_trc
 from hfb.errors import InputError
+from hfb.geometry.placement import y_up, z_up
 from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.geometry.world import LEVEL
 from hfb.interop.writers.amass import write_amass
 from hfb.interop.writers.bvh import write_bvh
 from hfb.interop.writers.c3d_file import c3d_bytes, write_c3d
 from hfb.interop.writers.joint_tables import marker_table, write_csv, write_trc
 from hfb.interop.writers.keys import even_keys
+from hfb.motion.footing import standing_feet
 from hfb.motion.sampled import SampledMotion
 from tests.interop.writers.motions import joints_at, motion_of
 
@@ -77,7 +80,7 @@ def test_c3d_by_a_reader_of_other_makers(motion: SampledMotion, tmp_path: Path) 
     points = read["parameters"]["POINT"]
     assert tuple(points["LABELS"]["value"]) == JOINT_NAMES
     assert points["UNITS"]["value"] == ["mm"]
-    places = read["data"]["points"][:3].transpose(2, 1, 0) * _Y_UP / 1000
+    places = read["data"]["points"][:3].transpose(2, 1, 0)[..., [0, 2, 1]] * [1, -1, 1] / 1000  # z is up
     times_s = np.arange(len(places)) / points["RATE"]["value"][0]
     assert worst_mm(places, times_s, motion) < _BOUND_MM
 
@@ -94,6 +97,8 @@ def test_csv_has_the_rows_of_the_motion_and_their_exact_times(motion: SampledMot
     assert 1000 * np.linalg.norm(read - motion.joints, axis=-1).max() < _BOUND_MM
     radius = np.array([[float(row[f"{name}_radius_mm"]) for name in JOINT_NAMES] for row in rows])
     np.testing.assert_allclose(radius, motion.joint_radius_mm, atol=0.01)
+    standing = [[int(row[f"{side}_foot_stands"]) for side in ("left", "right")] for row in rows]
+    np.testing.assert_array_equal(standing, standing_feet(motion, np.array([0.0, -1, 0])))
     write_csv(path, replace(motion, joint_radius_mm=None))
     assert "radius" not in path.read_text()
 
@@ -160,7 +165,7 @@ def test_lost_points_of_a_c3d_are_zeros_with_a_negative_residual(tmp_path: Path)
     write_c3d(tmp_path / "joints.c3d", motion)
     with (tmp_path / "joints.c3d").open("rb") as file, pytest.warns(UserWarning, match="No analog data"):
         points = np.array([frame for _, frame, _ in c3d.Reader(file).read_frames()])
-    rate, _, places = marker_table(motion)
+    rate, _, places = marker_table(motion, z_up(LEVEL))
     gone = np.isnan(places[:, 0, 0])
     assert gone.sum() > 20
     np.testing.assert_array_equal(points[gone][..., :3], 0)  # not the last place where the person was seen
@@ -175,7 +180,7 @@ def test_opensim_reads_a_table_with_a_gap(tmp_path: Path) -> None:
     motion = motion_of(BODY, frames=9, missing=(0, 3, 4, 5, 8))
     write_trc(tmp_path / "joints.trc", motion)
     table = opensim.TimeSeriesTableVec3(str(tmp_path / "joints.trc"))
-    rate, times_s, places = marker_table(motion)
+    rate, times_s, places = marker_table(motion, y_up(LEVEL))
     flat = table.flatten()
     read = np.stack([flat.getDependentColumn(label).to_numpy() for label in flat.getColumnLabels()], -1)
     np.testing.assert_allclose(read.reshape(places.shape), places, atol=1e-3)  # NaN at the same places

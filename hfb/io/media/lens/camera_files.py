@@ -16,6 +16,8 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.placement import rows_of
+from hfb.geometry.world import rotation_fault
 from hfb.io.media.lens.lens import undistortion_maps
 from hfb.io.media.lens.lens_documents import read_document
 from hfb.io.media.lens.lens_models import checked_coefficients, is_fisheye
@@ -233,8 +235,8 @@ def _rotation(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]
     if not isinstance(value, list) or not any(isinstance(row, list) and len(row) == 3 for row in value):
         return np.asarray(cv2.Rodrigues(_vector(part, key, where))[0], np.float64)
     R = _numbers(part, key, (3, 3), where)
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
-        raise InputError(f"{where}: {key} is no rotation; its rows must be orthonormal.")
+    if fault := rotation_fault(rows_of(R)):
+        raise InputError(f"{where}: {key} {fault}.")
     return R
 
 

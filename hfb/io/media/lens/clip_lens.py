@@ -1,6 +1,6 @@
 """The lens that clip.toml names: from Pose2Sim's Calib.toml, cameras.json, or OpenCV's, ROS' or Kalibr's file.
 
-The camera's pose is not needed, only its lens.
+The camera's pose is read by `hfb.io.media.lens.camera_pose`, and not needed here.
 """
 
 import math
@@ -56,7 +56,7 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
     path = camera.calibration
     if path is None:
         return None
-    where, entries = _chosen(path, camera.name, video)
+    where, entries = choose_camera(path, camera.name, video)
     size = _size(entries)
     if size is not None and size != (height, width):
         raise InputError(
@@ -91,10 +91,19 @@ def check_pinhole(K: tuple[tuple[float, float, float], ...], height: int, width:
     return (f"K seems to be of another size: {middle}, the pictures have {width} x {height}; scale K with them",)
 
 
-def _chosen(path: Path, name: str | None, video: str) -> tuple[str, dict[str, Any]]:
-    """Return (beginning of an error, entries of the camera that took the video)."""
+def choose_camera(path: Path, name: str | None, video: str) -> tuple[str, dict[str, Any]]:
+    """Return (beginning of an error, entries of the camera that took the video).
+
+    Args:
+        path: the calibration file.
+        name: the camera's name, where the user states it.
+        video: the footage's file name.
+
+    Raises:
+        InputError: missing, damaged, or no such camera in it.
+    """
     document = read_document(path)
-    if _find(document, _MATRIX) is not None:
+    if find_entry(document, _MATRIX) is not None:
         return str(path), document
     sections = _sections(document)
     if not sections:
@@ -123,33 +132,33 @@ def _sections(document: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     tables = [(str(key), part) for key, part in list(document.items())[:_MOST_SECTIONS] if isinstance(part, dict)]
     inner = [(str(key), part) for _, table in tables for key, part in list(table.items())[:_MOST_SECTIONS]]
     for level in (tables, inner):
-        found = [(key, part) for key, part in level if isinstance(part, dict) and _find(part, _MATRIX) is not None]
+        found = [(key, part) for key, part in level if isinstance(part, dict) and find_entry(part, _MATRIX) is not None]
         if found:
             return found[:_MOST_SECTIONS]
     return []
 
 
 def _lens(where: str, entries: dict[str, Any]) -> Lens:
-    K = _matrix(where, _find(entries, _MATRIX))
-    given = _find(entries, _DISTORTION)
+    K = _matrix(where, find_entry(entries, _MATRIX))
+    given = find_entry(entries, _DISTORTION)
     if isinstance(given, dict) and "data" in given:
         given = given["data"]
     if isinstance(given, dict):  # by their names, maybe with the model's between them
         words = {key: value for key, value in given.items() if isinstance(value, str)}
         named = {key: value for key, value in given.items() if key not in words}
-        fisheye = is_fisheye({**entries, **words}, _numbers(list(named.values()), where), where)
+        fisheye = is_fisheye({**entries, **words}, flat_numbers(list(named.values()), where), where)
         given = named_coefficients(named, fisheye, where)
     else:
         given = [] if given is None else given
-        fisheye = is_fisheye(entries, _numbers(given, where), where)
-    values = checked_coefficients(_numbers(given, where), fisheye, where)
+        fisheye = is_fisheye(entries, flat_numbers(given, where), where)
+    values = checked_coefficients(flat_numbers(given, where), fisheye, where)
     fx, fy, cx, cy = (float(one) for one in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     return Lens((fx, fy, cx, cy), tuple(float(one) for one in values), fisheye)
 
 
 def _matrix(where: str, value: Any) -> Float[Array, "3 3"]:
     """Read K from nine numbers, or from Kalibr's fx fy cx cy."""
-    flat = _numbers(value.get("data") if isinstance(value, dict) else value, where)
+    flat = flat_numbers(value.get("data") if isinstance(value, dict) else value, where)
     if flat.size == 4:
         K = np.array([[flat[0], 0, flat[2]], [0, flat[1], flat[3]], [0, 0, 1]])
     elif flat.size == 9:
@@ -163,23 +172,37 @@ def _matrix(where: str, value: Any) -> Float[Array, "3 3"]:
     return K
 
 
-def _find(entries: Mapping[str, Any], names: tuple[str, ...]) -> Any:
-    """Return the entry of the first of some names, in any spelling; None where there is none."""
+def find_entry(entries: Mapping[str, Any], names: tuple[str, ...]) -> Any:
+    """Return the entry of the first of some names, in any spelling; None where there is none.
+
+    Args:
+        entries: of one camera.
+        names: without case, spaces and signs.
+    """
     known = {plain(str(key)): value for key, value in entries.items() if value is not None}
     return next((known[name] for name in names if name in known), None)
 
 
-def _numbers(value: Any, where: str) -> Float[Array, "n"]:
+def flat_numbers(value: Any, where: str) -> Float[Array, "n"]:
+    """Return the numbers of an entry in a row.
+
+    Args:
+        value: of the file.
+        where: begins an error.
+
+    Raises:
+        InputError: they are no numbers.
+    """
     try:
         return np.array(value, np.float64).ravel()
     except (ValueError, TypeError, OverflowError):
-        raise InputError(f"{where}: its camera matrix or distortion are not numbers; export it again.") from None
+        raise InputError(f"{where}: its camera matrix, distortion or pose are not numbers; export it again.") from None
 
 
 def _size(entries: dict[str, Any]) -> tuple[int, int] | None:
     """Return (height, width) [px] where the file states it."""
-    pair = _find(entries, _SIZE)
-    apart = [_find(entries, _HEIGHT), _find(entries, _WIDTH)]
+    pair = find_entry(entries, _SIZE)
+    apart = [find_entry(entries, _HEIGHT), find_entry(entries, _WIDTH)]
     sides = [*reversed(pair)] if isinstance(pair, list) and len(pair) == 2 else apart
     known = all(isinstance(side, int | float) and 0 < side < 1 << 16 for side in sides)
     return (int(sides[0]), int(sides[1])) if known else None
