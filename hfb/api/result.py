@@ -308,6 +308,7 @@ def result_of(fit: ImageFit | ClipFit, private: Path, lacks: tuple[str, ...]) ->
     files = {name: file.path for name, file in fit.files().items()}
     motion, space = load_motion(files["motion.npz"])
     others = load_alternatives(files["alternatives.npz"])[0] if "alternatives.npz" in files else None
-    result = Result(motion, cast(BetasSpace, space), fit.facts(), others, files, None, fit, lacks)
+    facts = fit.facts() | describe_world(motion).entries()
+    result = Result(motion, cast(BetasSpace, space), facts, others, files, None, fit, lacks)
     weakref.finalize(result, shutil.rmtree, private, ignore_errors=True)
     return result

@@ -59,6 +59,11 @@ class WorldFacts(Record):
     says: str
     doubtful: bool
 
+    def entries(self) -> dict[str, object]:
+        """Return the entries of result.json."""
+        world = self.model_dump()
+        return {"foot_skate_mm": world.pop("foot_skate_mm"), "world": world}
+
 
 def rotation_fault(rows: Rows) -> str | None:
     """Return why a matrix is no rotation, as the end of a sentence; None where it is one.

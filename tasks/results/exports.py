@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from hfb.config import ExportConfig, Film, FitConfig, Record
 from hfb.errors import InputError
@@ -36,12 +36,9 @@ class ExportsHandle(Record):
     left_out: tuple[str, ...] = ()
     world: WorldFacts | None = None
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, object]:
         """Return the world of the motion files, and how far feet slide in it, for result.json."""
-        if self.world is None:
-            return {}
-        world = self.world.model_dump()
-        return {"foot_skate_mm": world.pop("foot_skate_mm"), "world": world}
+        return self.world.entries() if self.world else {}
 
     def by_name(self) -> dict[str, FileHandle]:
         """Return name -> file."""

@@ -33,6 +33,7 @@ def test_the_same_digits_as_the_flow(
         assert np.array_equal(getattr(by_flow, name), getattr(result.motion, name)), name
     timed = {"fit_seconds", "fit_stage_seconds", "config", *facts.keys() - result.facts.keys()}
     changing = {"mlflow_run_id", "mlflow_link"}
+    assert {"world", "foot_skate_mm"} <= result.facts.keys()
     assert {k: v for k, v in facts.items() if k not in timed | changing} == {
         k: v for k, v in result.facts.items() if k not in timed | changing
     }

@@ -73,7 +73,7 @@ def test_the_world_of_exports(result: Path, tmp_path: Path, capsys: pytest.Captu
     shown = capsys.readouterr()
     assert "the camera is taken as level in exports: give --camera.tilt-deg" in shown.err
     assert json.loads(shown.out.splitlines()[-1])["world"]["source"] == "level"
-    assert main([*words, "--tilt-deg", "40"]) == 0
+    assert main([*words, "--camera.tilt-deg", "40"]) == 0
     shown = capsys.readouterr()
     assert "level" not in shown.err
     told = json.loads(shown.out.splitlines()[-1])["world"]
@@ -86,7 +86,7 @@ def test_the_world_of_exports(result: Path, tmp_path: Path, capsys: pytest.Captu
     row = (result / "export" / "joints.csv").read_text().splitlines()[1].split(",")
     x, y, z = MOTION.joints[0, 0]
     np.testing.assert_allclose([float(cell) for cell in row[3:6]], [x, z, 1.5 - y], atol=1e-6)
-    assert main([*words, "--clip", str(clip), "--world-up=-y"]) == 0
+    assert main([*words, "--clip", str(clip), "--camera.world-up=-y"]) == 0
     assert said(capsys)["world"]["up"] == "-y"
     assert main([*words, "--world-up=-y"]) == 2
     assert "--clip" in said(capsys)["error"]

@@ -6,11 +6,12 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.config import WorldUp
 from hfb.geometry.placement import angles_of_world, in_world, z_up
 from hfb.geometry.world import CALIBRATED, WorldFacts
-from hfb.motion.footing import foot_skate_mm
+from hfb.motion.footing import FEET, foot_skate_mm
 from hfb.motion.sampled import SampledMotion
 
 _PELVIS, _NECK = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("neck")
 _UPRIGHT_DEG = 60.0
+_FARTHEST_FEET_M = 5.0  # beyond it a translation is in other units: a board's squares, decimetres
 _AXES: tuple[WorldUp, ...] = ("z", "-z", "y", "-y")
 
 
@@ -21,11 +22,11 @@ def describe_world(motion: SampledMotion) -> WorldFacts:
         motion: camera coordinates.
     """
     world = motion.export_world
-    tilt, roll = angles_of_world(world)
+    (tilt, roll), in_floor = angles_of_world(world), z_up(world)
     trunks = motion.joints[:, _NECK] - motion.joints[:, _PELVIS]
     trunks /= np.linalg.norm(trunks, axis=-1, keepdims=True)
-    lean = float(np.degrees(np.median(np.arccos(np.clip(trunks @ z_up(world).R[2], -1, 1)))))
-    skate = foot_skate_mm(motion, z_up(world).R[2])
+    lean = float(np.degrees(np.median(np.arccos(np.clip(trunks @ in_floor.R[2], -1, 1)))))
+    skate = foot_skate_mm(motion, in_floor.R[2])
     angles = f"it looks down by {tilt:.1f} degrees and leans what is upright to the right by {roll:.1f}"
     give = "--camera.tilt-deg and --camera.roll-deg, or a calibration with rotation and translation"
     says = {
@@ -43,6 +44,11 @@ def describe_world(motion: SampledMotion) -> WorldFacts:
         best = max(_AXES, key=lambda axis: (-1 if axis[0] == "-" else 1) * along["xyz".index(axis[-1])])
         if world.source in CALIBRATED and best != world.up:
             says += f": if they stand upright, give --camera.world-up={best}"
+    off_m = float(np.median(in_floor.points(motion.joints[:, FEET])[..., 2].min(1)))
+    if world.source == "calibration" and abs(off_m) > _FARTHEST_FEET_M:
+        doubtful = True
+        says += f", and the person's feet are {abs(off_m):.0f} m {'above' if off_m > 0 else 'below'} its origin: "
+        says += "give its translation in metres"
     return WorldFacts(
         source=world.source,
         up=world.up,

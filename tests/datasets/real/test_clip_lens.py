@@ -71,6 +71,8 @@ def test_pose2sim(tmp_path: Path) -> None:
     assert clip_lens(ClipCamera(calibration=path, name="cam02"), "x.mp4", 480, 640).K[0] == 900
     with pytest.raises(InputError, match=r"which of its cameras took x.mp4\? Set camera.name to one of cam01, cam02"):
         clip_lens(ClipCamera(calibration=path), "x.mp4", 480, 640)
+    with pytest.raises(InputError, match=r"has no camera cam03. Set camera.name to one of cam01, cam02"):
+        clip_lens(ClipCamera(calibration=path, name="cam03"), "cam01.mp4", 480, 640)
 
 
 def test_none_and_mistakes(tmp_path: Path) -> None:

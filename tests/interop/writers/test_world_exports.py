@@ -150,6 +150,15 @@ def test_a_person_who_contradicts_the_calibration_is_said(up: WorldUp) -> None:
         assert facts.says.endswith(f"give --camera.world-up={up}")
 
 
+def test_a_translation_in_other_units_is_said() -> None:
+    """A camera 1.2 m above the floor and 4 m before the person, and the same in decimetres."""
+    far = {unit: world_of_pose(_level_camera("z"), unit * np.array([0, 1.2, 4.0]), "z") for unit in (1, 10)}
+    assert not describe_world(replace(MOTION, world=far[1])).doubtful
+    facts = describe_world(replace(MOTION, world=far[10]))
+    assert facts.doubtful
+    assert facts.says.endswith("give its translation in metres")
+
+
 def _level_camera(up: WorldUp) -> np.ndarray:
     """World to camera of a level one: the world's up is -y there."""
     return np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) @ np.linalg.inv(_OF_Z_UP[up])

@@ -117,7 +117,8 @@ def choose_camera(path: Path, name: str | None, video: str) -> tuple[str, dict[s
         number = number_of_camera(list(zip(titles, videos, strict=True)), video)
     if number is None:
         listed = ", ".join(titles[:12])
-        raise InputError(f"{path}: which of its cameras took {video}? Set camera.name to one of {listed}.")
+        asked = f"has no camera {name}." if name is not None else f"which of its cameras took {video or 'this'}?"
+        raise InputError(f"{path}: {asked} Set camera.name to one of {listed}.")
     key, part = sections[number]
     # A table called `fisheye` says what its numbers are.
     return f"{path}: camera {titles[number]}", {"fisheye": True, **part} if "fisheye" in plain(key) else part
