@@ -40,8 +40,8 @@ class InitialEvidence:
     Attributes:
         observation: the window around the mattes, at full size, with the initial mattes.
         joints: the joint network's prediction; None where no term uses it.
-        corrected: correct the prediction between stages. What corrects it learned from starts with simulated errors:
-            from a pose network's start, fits of real images are better without.
+        corrected: whether the prediction is corrected between stages. What corrects it learned from starts with
+            simulated errors: from a pose network's start, fits of real images are better without.
     """
 
     observation: Observation

@@ -130,7 +130,7 @@ def angles_of_world(world: World) -> tuple[float, float]:
         world: the world.
     """
     x, y, z = z_up(world).R[2].tolist()
-    return math.degrees(math.asin(max(-1.0, min(1.0, -z)))), math.degrees(math.atan2(x, -y))
+    return math.degrees(math.asin(max(-1.0, min(1.0, 0.0 - z)))), math.degrees(math.atan2(x, -y))
 
 
 def rows_of(matrix: Float[Array, "3 3"]) -> Rows:
