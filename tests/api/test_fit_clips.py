@@ -41,6 +41,7 @@ def motion() -> hfb.Result:
     return hfb.fit_clip(small_clip().truth.parent, **SMALL)
 
 
+@pytest.mark.integration
 def test_the_same_digits_as_the_command(motion: hfb.Result, tmp_path: Path) -> None:
     out, _, facts = finished()
     assert config_of(SMALL, clip=True).model_dump(exclude={"export"}) == small_config().model_dump(exclude={"export"})
