@@ -70,6 +70,8 @@ def within(least: float, most: float) -> AfterValidator:
 
 FramesPerS = Annotated[float, Field(gt=0), within(1e-4, 1e6)]
 ExposureSeconds = Annotated[float, Field(gt=0), within(1e-8, 1e4)]
+ReadoutSeconds = Annotated[float, within(0, 1)]
+ReadoutTo = Literal["down", "up", "left", "right"]
 FocalPx = Annotated[float, Field(gt=0), within(1, 1e7)]
 TiltDeg = Annotated[float, within(-89, 89)]
 RollDeg = Annotated[float, within(-180, 180)]
@@ -106,6 +108,12 @@ class ExposureConfig(Record):
     fps: FramesPerS | None = Field(None, description="frames per second; 30 where nothing says otherwise")
     light: Literal["linear", "srgb"] = Field(
         "linear", description="the light in which blur is an average; real cameras average linear light"
+    )
+    readout_s: ReadoutSeconds | None = Field(
+        None, description="rolling shutter: from the first row's exposure to the last row's [s]; 0 when not given"
+    )
+    readout_to: ReadoutTo | None = Field(
+        None, description="where the last row lies in the picture as shown; down when not given"
     )
 
 

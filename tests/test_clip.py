@@ -69,6 +69,8 @@ def test_everything_about_a_video(tmp_path: Path) -> None:
         ("exposure = 3", "exposure: "),
         ("[exposure]\nfps = -1", "exposure.fps: .* greater than 0"),
         ("[exposure]\nseconds = 0.1\nshutter_angle = 90", "one of seconds, shutter_fraction and shutter_angle"),
+        ("[exposure]\nreadout_s = 12", "exposure.readout_s: .* between 0 and 1"),
+        ('[exposure]\nreadout_to = "bottom"', "exposure.readout_to: .*down"),
         ("[camera]\nfocal_px = 1\nK = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "focal_px or K, not both"),
         ("[camera]\nK = [[1, 0, 0], [0, 1, 0], [0, 0, 2]]", "undistort"),
         ("[camera]\nK = [[1, 0], [0, 1]]", "camera.K"),

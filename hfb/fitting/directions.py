@@ -29,6 +29,9 @@ from hfb.typing import Array, Bool, Float, Tensor
 _REFIT_RATE, _POLISH_RATE = 0.003, 0.002
 """Learning rates of Adam [rad and m per step]; only the effects of the reversal need repair."""
 
+_ROLLING_REFIT = 60
+"""Least iterations of a refit with a rolling shutter: a motion that runs backwards leans the other way, by .1 rad."""
+
 _ADAM_EPSILON = 1e-4
 _CONVINCING = 1.25
 """Ratio of probabilities above which a motion with reversed limbs replaces the fitted one (or its reverse)."""
@@ -73,16 +76,22 @@ def search_directions(
     """
     with torch.no_grad():
         shaped = fine.body.shape(found.betas)
+    rolling = fine.observation.camera.row_clock is not None
+    if rolling:
+        config = config.model_copy(update={"iterations": max(config.iterations, _ROLLING_REFIT)})
     hypotheses = _hypotheses(found, shaped, coarse, config)
-    several = len(hypotheses[0].reversed_limbs) > 1
-    if not several:
+    several, ways = len(hypotheses[0].reversed_limbs) > 1, len(hypotheses)
+    if rolling and not several:
+        hypotheses += _other_way(found, shaped, coarse, config)
+        hypotheses[ways] = _refit(hypotheses[ways], found, fine, config.iterations, _POLISH_RATE)
+    elif not several:
         hypotheses += [one.mirrored(found, coarse, shaped) for one in hypotheses]
     fitted = hypotheses[0].loss
     evidence = np.array([_evidence(one, fitted, fine, shaped) for one in hypotheses])
     scores = {name: np.array([one.terms[name] for one in hypotheses]) for name in hypotheses[0].terms}
     losses = [one.loss for one in hypotheses]
     probability = probabilities(evidence, several)
-    as_fitted = [0] if several else [0, len(hypotheses) // 2]  # the motion that was fitted, and exactly its reverse
+    as_fitted = [0] if several else [0, ways]  # the motion that was fitted, and its reverse
     chosen = _likeliest(probability, as_fitted)
     if chosen not in as_fitted:
         hypotheses[chosen] = _refit(hypotheses[chosen], found, fine, config.polish, _POLISH_RATE)
@@ -99,7 +108,7 @@ def search_directions(
     )
     if not several and chosen in as_fitted and np.round(alternatives.body_right()[0], 6) < 0.5:
         # Likelier than any other alone, but the others together imply that the body moved the other way.
-        alternatives = replace(alternatives, chosen=as_fitted[1] - chosen)
+        alternatives = replace(alternatives, chosen=ways - chosen)
     return hypotheses[alternatives.chosen].trajectory, alternatives
 
 
@@ -132,6 +141,21 @@ def _hypotheses(
     for index in sorted(doubtful, key=lambda index: turned[index].loss)[: config.refits]:
         turned[index] = _refit(turned[index], found, objective, config.iterations, _REFIT_RATE)
     return [replace(compared, trajectory=found.trajectory), *turned]
+
+
+def _other_way(
+    found: Variables, shaped: ShapedBody, objective: Objective, config: DirectionsConfig
+) -> list[_Hypothesis]:
+    """Return the whole motion of one frame backwards, refitted, then with each limb forwards.
+
+    With a rolling shutter the reversed motion has another image: what leaned because its rows are seen one after
+    another leans the other way.
+    """
+    whole = torch.ones(1, len(LIMBS), dtype=torch.bool)
+    back = _evaluate_hypothesis(whole, reverse_columns(found.trajectory, limb_columns(whole)), found, objective)
+    back = _refit(back, found, objective, config.iterations, _REFIT_RATE)
+    refitted = _hypotheses(replace(found, trajectory=back.trajectory), shaped, objective, config)
+    return [replace(one, reversed_limbs=~one.reversed_limbs) for one in refitted]
 
 
 def _moving_limbs(trajectory: Trajectory, shaped: ShapedBody, clock: Float[Tensor, "S"]) -> Bool[Tensor, "T 5"]:

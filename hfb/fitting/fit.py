@@ -222,11 +222,18 @@ def _fit_batch(
     problems: Sequence[Problem], schedule: "_Schedule", on_progress: Progress | None, batch_size: int
 ) -> list[FitResult]:
     kinds = {
-        (len(one.first_bodies), one.observation.exposure_s, one.observation.interval_s, one.identity is None)
+        (
+            len(one.first_bodies),
+            one.observation.exposure_s,
+            one.observation.interval_s,
+            one.observation.camera.row_clock,
+            one.identity is None,
+        )
         for one in problems
     }
     if len(kinds) > 1:
-        raise ValueError(f"fits of several kinds (frames, exposure, interval, nobody known): {sorted(kinds)}")
+        told = sorted(map(str, kinds))
+        raise ValueError(f"fits of several kinds (frames, exposure, interval, row clock, nobody known): {told}")
     from hfb.fitting.batched import map_threads
 
     config = schedule.config

@@ -24,7 +24,7 @@ from hfb.matting.network import RenderConditionedMatting
 from hfb.motion.static_pose import FirstBody
 from hfb.objective.objective import Objective
 from hfb.objective.weights import REFINED_HEIGHT_SCALE, base_weights
-from hfb.rendering.formation import compose
+from hfb.rendering.formation import compose, see_by_rows
 from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
 from hfb.typing import Float, Tensor
@@ -189,7 +189,7 @@ def render_blurred(
         return torch.stack(
             [
                 rasterizer.render_mean(one, variables.texture, camera, body.mesh)
-                for one in variables.vertices(body, subframes)
+                for one in see_by_rows(variables.vertices(body, subframes), camera)
             ]
         )
 

@@ -5,6 +5,7 @@ Frame: OpenCV's (+x right, +y down, +z forward). The image spans [0, W] x [0, H]
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 
@@ -12,8 +13,25 @@ from hfb.typing import Float, Tensor
 
 
 @dataclass(frozen=True)
+class RowClock:
+    """A rolling shutter: how late a pixel is exposed after the middle of the whole image.
+
+    delay = across * x / z + down * y / z + middle, in units of the exposure, where (x, y, z) is what the pixel shows in
+    camera coordinates. In slopes of rays instead of pixels, a crop or another size of the image changes nothing.
+    """
+
+    across: float
+    down: float
+    middle: float
+
+
+@dataclass(frozen=True)
 class PinholeCamera:
-    """Focal lengths and principal point [px] of an image of height x width pixels; no distortion."""
+    """Focal lengths and principal point [px] of an image of height x width pixels; no distortion.
+
+    Attributes:
+        row_clock: of a rolling shutter; None where all pixels are exposed at once.
+    """
 
     fx: float
     fy: float
@@ -21,6 +39,23 @@ class PinholeCamera:
     cy: float
     height: int
     width: int
+    row_clock: RowClock | None = None
+
+    def with_readout(self, exposures: float, to: Literal["down", "up", "left", "right"]) -> "PinholeCamera":
+        """Return this camera of a whole image with a rolling shutter.
+
+        Args:
+            exposures: from the first row's exposure to the last row's, in exposures.
+            to: where the last row lies in the image.
+        """
+        if exposures == 0:
+            return replace(self, row_clock=None)
+        late = -exposures if to in ("up", "left") else exposures
+        if to in ("down", "up"):
+            clock = RowClock(0.0, late * self.fy / self.height, late * (self.cy / self.height - 0.5))
+        else:
+            clock = RowClock(late * self.fx / self.width, 0.0, late * (self.cx / self.width - 0.5))
+        return replace(self, row_clock=clock)
 
     @staticmethod
     def from_focal(focal_px: float, height: int, width: int) -> "PinholeCamera":
@@ -92,4 +127,12 @@ class PinholeCamera:
             width: width of the image [px].
         """
         down, right = height / self.height, width / self.width
-        return PinholeCamera(self.fx * right, self.fy * down, self.cx * right, self.cy * down, int(height), int(width))
+        return replace(
+            self,
+            fx=self.fx * right,
+            fy=self.fy * down,
+            cx=self.cx * right,
+            cy=self.cy * down,
+            height=int(height),
+            width=int(width),
+        )

@@ -22,6 +22,9 @@
     fps = 30.0
     seconds = 0.02                 # or shutter_fraction = 0.6, or shutter_angle = 216, or auto = true (from metadata)
     position = "start"             # where the exposure lies in the frame's interval: "start", "middle", "end"
+    readout_s = 0.012              # rolling shutter: from the first row's exposure to the last row's [s]
+    readout_to = "down"            # where the last row lies in the picture as shown; "left" or "right" of a phone
+                                   # that is held upright
 
     [person]
     box = [310, 80, 420, 400]      # left, top, right, bottom [px] in frame `frame`; or which = "largest" (default)
@@ -39,7 +42,19 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from hfb.config import ExposureSeconds, FocalPx, FramesPerS, HeightM, Record, RollDeg, TiltDeg, WorldUp, within
+from hfb.config import (
+    ExposureSeconds,
+    FocalPx,
+    FramesPerS,
+    HeightM,
+    ReadoutSeconds,
+    ReadoutTo,
+    Record,
+    RollDeg,
+    TiltDeg,
+    WorldUp,
+    within,
+)
 from hfb.errors import InputError
 from hfb.geometry.world import Row, Rows, rotation_fault
 from hfb.io.toml_file import read_toml, to_record
@@ -118,6 +133,8 @@ class ClipExposure(_ClipRecord):
     shutter_angle: Annotated[float, Field(gt=0, le=360), within(0.036, 360)] | None = None
     auto: bool = False
     position: Literal["start", "middle", "end"] = "start"
+    readout_s: ReadoutSeconds | None = None
+    readout_to: ReadoutTo | None = None
 
     @model_validator(mode="after")
     def _one_length(self) -> "ClipExposure":

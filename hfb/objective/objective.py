@@ -27,6 +27,7 @@ from hfb.objective.weights import StageWeights
 from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
 from hfb.rendering.cpu import CpuRasterizer
+from hfb.rendering.formation import see_by_rows
 from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
 from hfb.typing import Bool, Float, Tensor
@@ -102,6 +103,8 @@ class Objective:
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
         posed, joints = shaped.pose_frames(*course)
+        if (camera := self.observation.camera).row_clock is not None:
+            posed = see_by_rows(posed.unflatten(0, (-1, self.subframes)), camera).flatten(0, 1)
         return posed, self.body_terms(trajectory, betas, shaped, (*course, joints))
 
     def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:

@@ -15,7 +15,7 @@ from typing import Any, Literal, Self, TypeVar, cast
 
 from pydantic import BaseModel
 
-from hfb.config import Record
+from hfb.config import ReadoutTo, Record
 from hfb.geometry.world import World
 from hfb.io.safe_folder import check_readable
 
@@ -86,12 +86,20 @@ class FrameHandle(FileHandle):
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
+class ReadoutRecord(Record):
+    """A rolling shutter: the time from the first row's exposure to the last row's, and where that row lies."""
+
+    seconds: float
+    to: ReadoutTo
+
+
 class ClipHandle(Record):
     """Frames of one static camera with their plate, and when and how they were taken.
 
     Attributes:
         remarks: sentences for the user.
         world: of exports; None where nothing is known of it.
+        readout: None where all rows are exposed at once, or nothing is known of it.
     """
 
     frames: tuple[FrameHandle, ...]
@@ -105,6 +113,7 @@ class ClipHandle(Record):
     light: Literal["srgb", "linear"]
     remarks: tuple[str, ...] = ()
     world: World | None = None
+    readout: ReadoutRecord | None = None
 
     def only(self, index: int) -> ClipHandle:
         """Return one frame as a clip of its own.

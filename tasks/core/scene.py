@@ -160,7 +160,10 @@ def load_camera(clip: ClipHandle) -> PinholeCamera:
     Args:
         clip: with K [px].
     """
-    return PinholeCamera.from_matrix(torch.tensor(clip.K, dtype=torch.float64), clip.height, clip.width)
+    camera = PinholeCamera.from_matrix(torch.tensor(clip.K, dtype=torch.float64), clip.height, clip.width)
+    if clip.readout is None:
+        return camera
+    return camera.with_readout(clip.readout.seconds / clip.exposure_s, clip.readout.to)
 
 
 def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observation:

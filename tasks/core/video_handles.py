@@ -10,7 +10,7 @@ from pydantic import Field
 from hfb.config import Record
 from hfb.geometry.world import Rows, World
 from hfb.io.clip import PersonChoice
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, ReadoutRecord
 
 
 class FootageHandle(FileHandle):
@@ -21,6 +21,7 @@ class FootageHandle(FileHandle):
         bits: of the images that its frames are stored as.
         remarks: sentences for the user.
         world: of exports; None where nothing is known of it. No frame's fit depends on it.
+        readout: see `ClipHandle`.
     """
 
     count: int
@@ -34,6 +35,7 @@ class FootageHandle(FileHandle):
     bits: Literal[8, 16]
     remarks: tuple[str, ...]
     world: World | None = None
+    readout: ReadoutRecord | None = None
 
     def clip(self, frames: tuple[FrameHandle, ...], background: FileHandle) -> ClipHandle:
         """Return some frames as a clip of their own.
@@ -52,6 +54,7 @@ class FootageHandle(FileHandle):
             interval_s=self.interval_s,
             transfer=self.transfer,
             light=self.light,
+            readout=self.readout,
         )
 
     def still(self, frame: FrameHandle, background: FileHandle, camera: bool = False) -> ClipHandle:
@@ -64,7 +67,8 @@ class FootageHandle(FileHandle):
         """
         nowhere = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         alone = self.clip((frame,), background)
-        return alone.model_copy(update={"exposure_s": 1.0, "interval_s": 1.0, **({} if camera else {"K": nowhere})})
+        update = {"exposure_s": 1.0, "interval_s": 1.0, "readout": None, **({} if camera else {"K": nowhere})}
+        return alone.model_copy(update=update)
 
 
 class FramesHandle(Record):

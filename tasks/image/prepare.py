@@ -13,7 +13,7 @@ from hfb.matting.exposure_match import NO_GAIN, frame_gain, in_plate_exposure
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FrameHandle
 from hfb.tasks.core.scene import Light, decode_once
-from hfb.tasks.inputs.inputs import find_exposure_s
+from hfb.tasks.inputs.inputs import find_exposure_s, find_readout
 from hfb.tasks.task import task
 from hfb.typing import Array, Float
 
@@ -90,6 +90,7 @@ def prepare(
         light=exposure.light,
         remarks=(*images.remarks(), *check_pinhole(K, height, width), *doubts),
         world=clip_world(camera, clip.camera, frames[0].path.name),
+        readout=find_readout(clip.exposure, exposure),
     )
 
 

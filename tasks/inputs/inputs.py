@@ -10,7 +10,7 @@ from hfb.interop.writers.export_names import check_formats
 from hfb.io.clip import Clip, ClipExposure, read_clip
 from hfb.io.names import is_text
 from hfb.networks.mediapipe_files import LandmarkChoice, networks_in_use
-from hfb.tasks.core.handles import FileHandle, files_in
+from hfb.tasks.core.handles import FileHandle, ReadoutRecord, files_in
 from hfb.tasks.inputs.given_networks import init_files, matting_file
 from hfb.tasks.inputs.out_place import check_pictures_out
 
@@ -156,6 +156,17 @@ def find_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfi
         recorded = recorded_exposure(picture)
         told = recorded[0] if recorded else None
     return told
+
+
+def find_readout(exposure: ClipExposure, config: ExposureConfig) -> ReadoutRecord | None:
+    """Return the rolling shutter, an option before clip.toml; None where neither tells of one.
+
+    Args:
+        exposure: as in clip.toml.
+        config: options of the exposure.
+    """
+    seconds = exposure.readout_s if config.readout_s is None else config.readout_s
+    return ReadoutRecord(seconds=seconds, to=config.readout_to or exposure.readout_to or "down") if seconds else None
 
 
 def _clip_of_pictures(path: Path, picture: Path) -> Clip:

@@ -18,6 +18,7 @@ from hfb.io.clip import PersonChoice
 from hfb.tasks.core.handles import FileHandle, verify_unchanged
 from hfb.tasks.core.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
 from hfb.tasks.image.prepare import calibration
+from hfb.tasks.inputs.inputs import find_readout
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.task import task
 
@@ -83,6 +84,7 @@ def look_at_clip(
         bits=footage.bits,
         remarks=(*footage.remarks, timing.source, *check_pinhole(K, *size)),
         world=clip_world(camera, given, paths[0].name),
+        readout=find_readout(clip.exposure, exposure),
     )
 
 

@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 
 from hfb.config import CameraConfig, ExposureConfig
+from hfb.geometry.camera import PinholeCamera
 from hfb.io.clip import Clip
 from hfb.io.media.images.image_io import write_png
 from hfb.photometry import linear_to_srgb, srgb_to_linear
@@ -51,6 +52,16 @@ def test_option_over_clip_over_guess(picture: FileHandle) -> None:
     chosen = prepared(picture, clip, focal_px=60, fps=25, seconds=0.005)
     assert chosen.K == ((60, 0, 15), (0, 60, 20), (0, 0, 1))
     assert (chosen.interval_s, chosen.exposure_s) == (pytest.approx(0.04), 0.005)
+
+
+def test_a_rolling_shutter_is_told_by_options_or_the_clip(picture: FileHandle) -> None:
+    assert load_camera(prepared(picture)).row_clock is None
+    clip = {"exposure": {"fps": 50, "seconds": 0.01, "readout_s": 0.005, "readout_to": "right"}}
+    told = load_camera(prepared(picture, clip))
+    whole = PinholeCamera.from_focal(50, 40, 30)
+    assert told == whole.with_readout(0.5, "right")
+    assert load_camera(prepared(picture, clip, readout_s=0.01, readout_to="up")) == whole.with_readout(1.0, "up")
+    assert load_camera(prepared(picture, clip, readout_s=0.0)).row_clock is None
 
 
 def test_a_photographs_own_exposure_where_it_is_asked_for(tmp_path: Path, picture: FileHandle) -> None:

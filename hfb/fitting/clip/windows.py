@@ -17,6 +17,7 @@ from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from hfb.fitting.fit import FitResult, Problem, fit_all
 from hfb.fitting.identity import Identity, rescale_first_body
+from hfb.geometry.camera import RowClock
 from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
 from hfb.motion.static_pose import FirstBody, OtherFront
@@ -202,10 +203,10 @@ def fit_windows(
     return [found[place] for place in range(len(scenes))]
 
 
-def _kind(scene: WindowScene) -> tuple[int, bool, float, float]:
+def _kind(scene: WindowScene) -> tuple[int, bool, float, float, RowClock | None]:
     """Return a key of windows that can be fitted in one batch."""
-    seen = scene.observation
-    return len(scene.window.frames), scene.identity is not None, seen.exposure_s, seen.interval_s
+    seen, known = scene.observation, scene.identity is not None
+    return len(scene.window.frames), known, seen.exposure_s, seen.interval_s, seen.camera.row_clock
 
 
 def _problem(scene: WindowScene, body: Body) -> Problem:

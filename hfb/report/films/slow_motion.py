@@ -20,7 +20,7 @@ from hfb.geometry.rotations import quaternion_to_matrix
 from hfb.interop.writers.keys import MotionKeys, exact_keys, keys_at, present_at, subframe_rate_hz
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import linear_to_srgb
-from hfb.rendering.formation import compose
+from hfb.rendering.formation import compose, see_by_rows
 from hfb.rendering.rasterizer import Rasterizer
 from hfb.report.films.time_line import draw_time_line
 from hfb.report.images.shading import shade_bodies, time_colours
@@ -305,7 +305,8 @@ class _View:
         shot = self._shot
         vertices = pose_rows(shot.motion, shot.motion.rows_of(frame), shot.body).vertices
         with torch.no_grad():
-            mean = shot.rasterizer.render_mean(vertices, shot.texture, self._camera, shot.body.mesh)
+            seen = see_by_rows(vertices, self._camera)
+            mean = shot.rasterizer.render_mean(seen, shot.texture, self._camera, shot.body.mesh)
         return self._srgb(compose(mean, self._plate))
 
     def _kept(self, kind: str, frame: int, make: Callable[[], Float[Array, "H W 3"]]) -> Float[Array, "H W 3"]:

@@ -13,7 +13,7 @@ import torch
 from hfb.body.model import Body
 from hfb.evaluation.protocol import pose_rows
 from hfb.motion.sampled import SampledMotion
-from hfb.rendering.formation import compose
+from hfb.rendering.formation import compose, see_by_rows
 from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
 from hfb.report.images.shading import shade_bodies, side_view, time_colours
@@ -150,7 +150,7 @@ def _row(
     vertices = pose_rows(motion, motion.rows_of(frame), body).vertices
     count = len(vertices)
     with torch.no_grad():
-        blurred = rasterizer.render_mean(vertices, texture, window.camera, body.mesh)
+        blurred = rasterizer.render_mean(see_by_rows(vertices, window.camera), texture, window.camera, body.mesh)
     reblurred = window.to_srgb(compose(blurred, window.plate_linear))
     seen = window.to_srgb(window.frames_linear[frame])
 
