@@ -28,14 +28,15 @@ from filelock import lock_descriptor
 
 from hfb.config import Record
 from hfb.errors import Busy, InputError
-from hfb.flows.app.request import RESULTS, JobRequest, check_request
+from hfb.flows.app.request import INPUTS, RESULTS, JobRequest, check_request
 from hfb.flows.app.upload import leftovers
 from hfb.interop.writers.export_names import RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
-from hfb.io.safe_folder import is_regular, open_lock, read_head
+from hfb.io.safe_folder import check_tree, is_regular, open_file, open_lock
 from hfb.io.toml_file import to_record
-from hfb.tasks.core.result_folder import is_unfinished, read_result_content
+from hfb.report.pages.result_facts import read_facts
+from hfb.tasks.core.result_folder import is_unfinished
 
 PROGRESS = "progress.json"
 _RECORD, _LOG, _ANSWER, _LOCK = "job.json", "log.txt", "answer.json", ".lock"
@@ -44,9 +45,9 @@ _FILE = re.compile(r"[A-Za-z0-9]\w*\.[a-z0-9]{2,5}")
 _MOST_WAITING = 20
 _ENDS_WITHIN_S = 20.0
 _LOOKS_EVERY_S = 0.1
-_LOG_BYTES = 1 << 20
+_LOG_BYTES = 1 << 16
 _UNUSABLE = 2
-_FIGURES = ("matte_iou", "psnr_db", "foot_skate_mm", "fit_seconds", "seconds", "frames", "warnings", "unknown")
+_FIGURES = ("matte_iou", "psnr_db", "fit_seconds", "seconds", "frames", "warnings")
 
 State = Literal["waiting", "running", "cancelling", "done", "refused", "failed", "cancelled", "stopped"]
 
@@ -66,17 +67,35 @@ class JobRecord(Record):
     ended: float | None = None
 
 
+class JobStep(Record):
+    """One step of a command."""
+
+    label: str
+    state: Literal["running", "done", "failed"]
+    done: int = 0
+    total: int | None = None
+    note: str = ""
+    seconds: float = 0
+
+
+class JobSteps(Record):
+    """The content of progress.json."""
+
+    steps: tuple[JobStep, ...] = ()
+
+
 class Job:
     """One command and its folder."""
 
-    def __init__(self, folder: Path, record: JobRecord) -> None:
+    def __init__(self, folder: Path, record: JobRecord, guard: threading.RLock) -> None:
         """Take a folder.
 
         Args:
             folder: of the job.
             record: what is known of it.
+            guard: held while the state changes.
         """
-        self.folder, self.record = folder, record
+        self.folder, self.record, self.guard = folder, record, guard
         self.cancelled = threading.Event()
 
     def keep(self, state: State, message: str = "", **times: float | None) -> None:
@@ -87,8 +106,9 @@ class Job:
             message: why there is no result.
             **times: ``began`` and ``ended``.
         """
-        self.record = self.record.model_copy(update={"state": state, "message": message, **times})
-        write_bytes_atomic(self.folder / _RECORD, self.record.model_dump_json().encode())
+        with self.guard:
+            self.record = self.record.model_copy(update={"state": state, "message": message, **times})
+            write_bytes_atomic(self.folder / _RECORD, self.record.model_dump_json().encode())
 
     @property
     def is_active(self) -> bool:
@@ -110,14 +130,15 @@ class Job:
         shown = self.summary() | {"steps": [], "log": self._said(_LOG)}
         if self.record.state != "waiting":
             with suppress(InputError):
-                shown |= {"steps": read_json(self.folder / PROGRESS)}
+                content = read_json(self.folder / PROGRESS)
+                shown |= to_record(JobSteps, content if isinstance(content, dict) else {}, PROGRESS).model_dump()
         if self.record.state == "done":
-            result = read_result_content(self.folder, RESULTS)
-            link = result.get("mlflow_link")
+            facts = read_facts(self.folder / RESULTS / RESULT, root=self.folder)
+            link = facts.get("mlflow_link") or ""
             shown |= {
                 "files": self.files(),
-                "figures": {name: result.get(name) for name in _FIGURES},
-                "link": link if isinstance(link, str) and link.startswith(("http://", "https://")) else None,
+                "figures": {name: facts.get(name) for name in _FIGURES},
+                "link": link if link.startswith(("http://", "https://")) else None,
             }
         return shown
 
@@ -133,14 +154,19 @@ class Job:
         }
 
     def run(self, base: Sequence[str]) -> None:
-        """Run the command and keep what became of it.
+        """Run the command and keep what became of it; nothing where the job does not wait any more.
 
         Args:
             base: words of options that every job has.
         """
+        with self.guard:
+            if self.record.state != "waiting":
+                return
+            self.keep("running", began=time.time(), ended=None)
         command, *words = self.record.request.words(self.folder)
-        self.keep("running", began=time.time(), ended=None)
-        with (self.folder / _LOG).open("wb") as log, (self.folder / _ANSWER).open("wb") as answer:
+        for name in (PROGRESS, _LOG, _ANSWER):
+            (self.folder / name).unlink(missing_ok=True)  # a link, too, which is not to be written through
+        with (self.folder / _LOG).open("xb") as log, (self.folder / _ANSWER).open("xb") as answer:
             process = subprocess.Popen(
                 [sys.executable, "-m", "hfb.flows.cli.job", str(self.folder), command, *base, *words],
                 stdin=subprocess.PIPE,  # its end, also by a kill of this process, ends the command
@@ -183,8 +209,11 @@ class Job:
         return "refused" if code == _UNUSABLE else "failed", message
 
     def _said(self, name: str) -> str:
+        """Return the end of what the command printed."""
         try:
-            return read_head(self.folder, name, size=_LOG_BYTES).decode(errors="replace")
+            with open_file(self.folder, name) as file:
+                file.seek(max(0, file.seek(0, os.SEEK_END) - _LOG_BYTES))
+                return file.read().decode(errors="replace")
         except (OSError, ValueError):
             return ""
 
@@ -210,12 +239,12 @@ class Jobs:
         for part in leftovers(out):
             shutil.rmtree(part, ignore_errors=True)
         self._jobs: dict[str, Job] = {}
+        self._guard, self._ended = threading.RLock(), threading.Event()
         for folder in sorted(out.iterdir()):
             if _NAME.fullmatch(folder.name) and not folder.is_symlink():
                 with suppress(InputError):  # not ours, or damaged: it stays where it is
-                    self._jobs[folder.name] = _earlier(folder)
+                    self._jobs[folder.name] = _earlier(folder, self._guard)
         self._waiting: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        self._guard, self._ended = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._work, name="hfb-jobs", daemon=True)
         self._thread.start()
 
@@ -225,11 +254,14 @@ class Jobs:
 
     def summaries(self) -> list[dict[str, Any]]:
         """Return the list of jobs, the newest first."""
-        return [job.summary() for _, job in sorted(self._jobs.items(), reverse=True)]
+        with self._guard:
+            return [job.summary() for _, job in sorted(self._jobs.items(), reverse=True)]
 
     def check_room(self) -> None:
         """Raise InputError where too many jobs wait."""
-        if sum(job.is_active for job in self._jobs.values()) > _MOST_WAITING:
+        with self._guard:
+            waiting = sum(job.is_active for job in self._jobs.values())
+        if waiting > _MOST_WAITING:
             raise InputError(f"{_MOST_WAITING} jobs are waiting already: wait, or cancel some")
 
     def add(self, name: str, request: JobRequest) -> Job:
@@ -239,9 +271,10 @@ class Jobs:
             name: of its folder.
             request: what is asked for.
         """
-        job = Job(self.out / name, JobRecord(request=request, state="waiting"))
-        self._jobs[name] = job
-        self._begin(job)
+        job = Job(self.out / name, JobRecord(request=request, state="waiting"), self._guard)
+        with self._guard:
+            self._jobs[name] = job
+            self._begin(job)
         return job
 
     def again(self, name: str) -> None:
@@ -265,7 +298,7 @@ class Jobs:
             if job.record.state == "waiting":
                 job.keep("cancelled", "it was cancelled before it began")
             elif job.record.state == "running":
-                job.keep("cancelling", began=job.record.began)
+                job.keep("cancelling")
             job.cancelled.set()
 
     def remove(self, name: str) -> None:
@@ -296,28 +329,25 @@ class Jobs:
         while (job := self._waiting.get()) is not None:
             if self._ended.is_set():
                 return
-            with self._guard:
-                runs = job.record.state == "waiting"
-            if not runs:  # it was cancelled
-                continue
             try:
                 job.run(self._base)
             except OSError as error:
                 with suppress(OSError):
                     job.keep("failed", f"its folder cannot be written: {error.strerror}", ended=time.time())
-            if self._ended.is_set():
-                job.keep("stopped", _STOPPED, ended=time.time())
+            if self._ended.is_set() and job.record.state == "cancelled":
+                job.keep("stopped", _STOPPED)
 
 
 _STOPPED = "the app ended before it did; run again goes on from there"
 
 
-def _earlier(folder: Path) -> Job:
+def _earlier(folder: Path, guard: threading.RLock) -> Job:
     """Read a job of an earlier start. Raises InputError where it is damaged."""
     content = read_json(folder / _RECORD, root=folder)
     record = to_record(JobRecord, content if isinstance(content, dict) else {}, str(folder))
     check_request(record.request.model_dump())
-    job = Job(folder, record)
+    check_tree(folder, INPUTS)
+    job = Job(folder, record, guard)
     if job.is_active:
         job.keep("stopped", _STOPPED)
     return job

@@ -67,7 +67,7 @@ class JobRequest(Record):
         options: by their dotted names.
     """
 
-    files: Annotated[tuple[UploadedFile, ...], Field(max_length=MOST_PICTURES + 2)]
+    files: tuple[UploadedFile, ...]
     background: Literal["auto", "still"] = "auto"
     options: dict[str, str | int | float] = Field(default_factory=dict)
 

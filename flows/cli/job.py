@@ -7,58 +7,58 @@ The command is told to end when standard input does, which its starter holds ope
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
-from hfb.flows.app.jobs import PROGRESS
+from hfb.flows.app.jobs import PROGRESS, JobStep, JobSteps
 from hfb.flows.cli.cli import main
 from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.telemetry.progress import Listener, Shown, add_listener
 
 _EVERY_S = 0.4
 _MOST_STEPS = 200
+_State = Literal["running", "done", "failed"]
 
 
 class _Steps(Listener):
     """Writes the steps to a file: their labels, and how much of each is done."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._steps: list[tuple[Shown, dict[str, Any]]] = []
-        self._lock = threading.Lock()
-        self._written_s = 0.0
+        self._path, self._lock, self._written_s = path, threading.Lock(), 0.0
+        self._steps: list[tuple[Shown, JobStep]] = []
 
     def begin(self, shown: Shown) -> None:
         with self._lock:
-            self._steps = [*self._steps[-_MOST_STEPS:], (shown, {"state": "running"})]
-        self._write(now=True)
+            self._steps = [*self._steps[-_MOST_STEPS:], (shown, _told(shown, "running"))]
+            self._write()
 
     def update(self, shown: Shown) -> None:
-        self._write()
+        with self._lock:
+            if time.monotonic() - self._written_s > _EVERY_S:
+                self._replace(shown, "running")
 
     def end(self, shown: Shown, failed: bool) -> None:
         with self._lock:
-            for known, told in self._steps:
-                if known is shown:
-                    told |= {"state": "failed" if failed else "done", "seconds": round(shown.seconds, 1)}
-        self._write(now=True)
+            self._replace(shown, "failed" if failed else "done")
 
-    def _write(self, now: bool = False) -> None:
-        with self._lock:
-            if not now and time.monotonic() - self._written_s < _EVERY_S:
-                return
-            self._written_s = time.monotonic()
-            told = [
-                {"label": one.label, "done": one.done, "total": one.total, "note": one.note, **more}
-                for one, more in self._steps
-            ]
-            write_bytes_atomic(self._path, json.dumps(told).encode())
+    def _replace(self, shown: Shown, state: _State) -> None:
+        self._steps = [(one, _told(shown, state) if one is shown else told) for one, told in self._steps]
+        self._write()
+
+    def _write(self) -> None:
+        self._written_s = time.monotonic()
+        steps = JobSteps(steps=tuple(told for _, told in self._steps))
+        write_bytes_atomic(self._path, steps.model_dump_json().encode())
+
+
+def _told(shown: Shown, state: _State) -> JobStep:
+    seconds = round(shown.seconds, 1)
+    return JobStep(label=shown.label, state=state, done=shown.done, total=shown.total, note=shown.note, seconds=seconds)
 
 
 def _end_with_input() -> None:

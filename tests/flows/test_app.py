@@ -21,6 +21,7 @@ from hfb.flows.app.request import MOST_BYTES, MOST_PICTURES, check_request
 from hfb.flows.cli.cli import main
 from tests.flows.app_pages import ENDLESS, SHORT, Served, body, served
 from tests.orchestration import Problem, mlflow_rows
+from tests.small_clips import FRAMES, SMALL_OPTIONS, small_clip
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PAIR = [("recording", "frame.png", PNG), ("plate", "plate.png", PNG)]
@@ -151,7 +152,7 @@ def test_a_file_that_is_no_picture_is_refused_in_a_sentence(problem: Problem, tm
         ([("recording", "a.mp4", b"a"), ("recording", "b.mp4", b"b")], {}, "give one video"),
         ([("recording", "a.mp4", b"a"), ("plate", "b.mp4", b"b")], {}, "b.mp4 is no picture"),
         ([PAIR[0]] * (MOST_PICTURES + 1) + [PAIR[1]], {}, "at most 16 pictures"),
-        ([PAIR[0]] * 40, {}, "files"),
+        ([PAIR[0]] * 200, {}, "at most 16 pictures"),
         (PAIR, {"fit.height_m": float("nan")}, "fit.height_m"),
         (PAIR, {"fit.height_m": 17}, "fit.height_m"),
         (PAIR, {"camera.focal_px": float("inf")}, "camera.focal_px"),
@@ -301,14 +302,24 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
     earlier_job(out, "20260101-000000-00000002", **bad)
     shutil.copytree(made, tmp_path / "elsewhere", symlinks=True)
     (out / "20260101-000000-00000003").symlink_to(tmp_path / "elsewhere")
-    earlier_job(out, "20260101-000000-00000004", state="running")
+    stopped = earlier_job(out, "20260101-000000-00000004", state="running")
+    (stopped / "log.txt").symlink_to(tmp_path / "mine.txt")
+    (tmp_path / "mine.txt").write_text("mine")
+    linked = earlier_job(out, "20260101-000000-00000006")
+    (linked / "input").mkdir()
+    (linked / "input" / "frame_0.png").symlink_to(tmp_path / "mine.txt")
     (out / "20260101-000000-00000005").mkdir()
     (out / "notes.txt").write_text("mine")
     (out / ".upload-0123").mkdir()
     with served(out) as page:
         assert {job["name"][-1]: job["state"] for job in page.jobs()} == {"1": "done", "4": "stopped"}
         assert not (out / ".upload-0123").exists()
+        page.post(f"jobs/{stopped.name}/again")
+        assert "input/frame_0.png does not exist" in page.wait(stopped.name, "refused")["message"]
+        assert (tmp_path / "mine.txt").read_text() == "mine"
         assert main(["app", "--port", "0", "--out", str(out)]) == 2, "one app per folder"
+        page.process.send_signal(signal.SIGINT)
+        assert page.process.wait(30) == 0, "Ctrl-C is how it ends"
     assert (out / "notes.txt").exists()
     assert os.path.lexists(out / "20260101-000000-00000003")
 
@@ -320,3 +331,22 @@ def test_a_port_that_is_taken_is_told(
     assert main(["app", "--port", str(urlsplit(page.url).port), "--out", str(tmp_path / "out")]) == 2
     assert "give another one" in capfd.readouterr().err
     assert main(["app", "--port", "70000"]) == 2
+
+
+@pytest.mark.usefixtures("store")
+def test_a_video_becomes_a_clip(tmp_path: Path) -> None:
+    clip = small_clip(video=True)
+    given = (
+        ("recording", "walk.MP4", clip.source),
+        ("plate", "plate.png", clip.background),
+        ("clip", "a.toml", clip.clip),
+    )
+    files = [(role, name, Path(path).read_bytes()) for role, name, path in given]
+    with served(tmp_path / "app", *SMALL_OPTIONS) as page:
+        name = page.post("jobs", body(files, {"video.average": 2})).json()["name"]
+        job = page.wait(name, "done")
+    assert job["command"] == "video"
+    assert job["figures"]["frames"] == FRAMES // 2
+    assert "motion.bvh" in job["files"]
+    config = json.loads((tmp_path / "app" / name / "result" / "result.json").read_text())["config"]
+    assert config["video"]["average"] == 2

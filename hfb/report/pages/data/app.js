@@ -279,7 +279,9 @@
     const warnings = (told.warnings || []).map(({ message }) => made("p", `Warning: ${message}.`, { className: "bad" }));
     $("job-warnings").replaceChildren(...warnings);
     $("report-link").href = path(job.name, "/report");
-    frame(path(job.name, "/report"));
+    const reported = "report.html" in job.files;
+    $("report-part").hidden = !reported;
+    frame(reported && path(job.name, "/report"));
     $("mlflow").hidden = !job.link;
     if (job.link) $("mlflow").querySelector("a").href = job.link;
     $("mlflow-hint").hidden = !/^https?:\/\/(127\.0\.0\.1|localhost)[:/]/.test(job.link || "");
