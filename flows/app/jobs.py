@@ -33,6 +33,7 @@ from hfb.flows.app.upload import leftovers
 from hfb.interop.writers.export_names import RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
+from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_tree, is_regular, open_file, open_lock
 from hfb.io.toml_file import to_record
 from hfb.report.pages.result_facts import read_facts
@@ -202,11 +203,18 @@ class Job:
             return "cancelled", "it was cancelled; run again goes on from there"
         lines = self._said(_ANSWER).splitlines()
         try:
-            message = str(json.loads(lines[-1])["error"]).replace(f"{self.folder}/", "")
+            message = self._in_own_words(str(json.loads(lines[-1])["error"]))
         except (IndexError, KeyError, TypeError, ValueError):
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             message = f"its process ended without a word ({how}); run again goes on from there"
         return "refused" if code == _UNUSABLE else "failed", message
+
+    def _in_own_words(self, message: str) -> str:
+        """Return a message with the visitor's names of the files."""
+        request = self.record.request
+        for one, name in zip(request.files, request.stored_names(), strict=True):
+            message = message.replace(f"{self.folder / INPUTS / name}", shown_name(one.name))
+        return message.replace(f"{self.folder}/", "")
 
     def _said(self, name: str) -> str:
         """Return the end of what the command printed."""

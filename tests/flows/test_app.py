@@ -12,7 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import cv2
 import httpx
+import numpy as np
 import psutil
 import pytest
 
@@ -130,14 +132,17 @@ def test_a_job_that_is_cancelled_or_killed_ends_alone(problem: Problem, tmp_path
 
 
 @pytest.mark.usefixtures("store")
-def test_a_file_that_is_no_picture_is_refused_in_a_sentence(problem: Problem, tmp_path: Path) -> None:
+def test_pictures_that_cannot_be_used_are_refused_in_a_sentence(problem: Problem, tmp_path: Path) -> None:
     _, plate = pair(problem)
     with served(tmp_path / "app", *SHORT) as page:
         text = page.post("jobs", body([("recording", "frame.png", b"no picture"), plate])).json()["name"]
         told = page.wait(text, "refused")["message"]
-        assert "input/frame_0.png" in told
-        assert str(tmp_path) not in told
-        assert [job["state"] for job in page.jobs()] == ["refused"]
+        assert told.startswith("frame.png: is not a picture")
+        other = cv2.imencode(".png", np.zeros((50, 60, 3), np.uint8))[1].tobytes()
+        sizes = page.post("jobs", body([("recording", "small.png", other), plate])).json()["name"]
+        told = page.wait(sizes, "refused")["message"]
+        assert told.startswith("small.png is 60 x 50 px and the background plate.png 96 x 96 px")
+        assert [job["state"] for job in page.jobs()] == ["refused", "refused"]
 
 
 @pytest.mark.parametrize(
@@ -315,7 +320,7 @@ def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
         assert {job["name"][-1]: job["state"] for job in page.jobs()} == {"1": "done", "4": "stopped"}
         assert not (out / ".upload-0123").exists()
         page.post(f"jobs/{stopped.name}/again")
-        assert "input/frame_0.png does not exist" in page.wait(stopped.name, "refused")["message"]
+        assert "frame.png does not exist" in page.wait(stopped.name, "refused")["message"]
         assert (tmp_path / "mine.txt").read_text() == "mine"
         assert main(["app", "--port", "0", "--out", str(out)]) == 2, "one app per folder"
         page.process.send_signal(signal.SIGINT)

@@ -159,5 +159,5 @@ def test_a_job_that_failed_is_told(tmp_path: Path) -> None:
         tab = opened(chromium, f"{page.url}#{name}", 390).tab
         tab.wait_for_selector("#job-message:not(:empty)")
         assert tab.locator("#job-state").inner_text() == "cannot be used"
-        assert "clip.mp4" in tab.locator("#job-message").inner_text()
+        assert "walk.mp4" in tab.locator("#job-message").inner_text()
         assert not tab.locator("#job-progress").is_visible()
