@@ -57,6 +57,7 @@ def test_a_picture_is_dropped_and_its_result_is_shown(problem: Problem, tmp_path
         assert tab.locator("#job-state").inner_text() == "done"
         assert tab.locator(".jobs a[aria-current]").inner_text().endswith("done")
         report = tab.locator("#report").element_handle().content_frame()
+        report.wait_for_load_state("load")  # what is above the viewer has its height
         report.wait_for_selector(".viewer canvas")
         assert report.evaluate("() => origin") == "null", "a report cannot reach the page"
         assert_body_moves(report)
