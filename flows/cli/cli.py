@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from hfb import __version__
 from hfb.errors import InfrastructureError, InputError, ServerLost
 from hfb.evaluation.experiment_files import experiment_file
-from hfb.flows.cli import clips, judging, models_cli, repeating, results, training
+from hfb.flows.cli import app_cli, clips, judging, models_cli, repeating, results, training
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.flows.runtime import summary
 from hfb.flows.runtime.prefect_home import check_home
@@ -168,6 +168,10 @@ def command_line() -> argparse.ArgumentParser:
     results.add_report_flags(of_results("report", results.report_result, "a result on one page that opens anywhere"))
     what = "put a result into MLflow that could not be recorded when made"
     results.add_record_flags(of_results("record", results.record_result, what))
+
+    page = _command(commands, "app", app_cli.app, "a page to drop a picture or a video on, on this machine alone")
+    page.add_argument("--port", type=int, default=8512, help="0: any that is free [8512]")
+    add_config_flags(page)
 
     runs = of_runs("runs", models_cli.runs, "show the recorded runs in a browser (MLflow)")
     runs.add_argument("--port", type=int, default=5000, help="[5000]")

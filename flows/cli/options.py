@@ -22,7 +22,9 @@ from hfb.io.run_options import check_options, complete_options
 from hfb.io.toml_file import merged, read_toml
 
 _log = logging.getLogger(__name__)
-_PREFIX = "config:"
+CONFIG_PREFIX = "config:"
+"""Of the parsed options that are keys of the configuration."""
+
 _DEFAULT_PRESET = RunConfig().preset
 _NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": OWN_NETWORKS}
 
@@ -43,20 +45,22 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
         flag = f"--{name.replace('_', '-')}"
         group.add_argument(
             flag,
-            dest=_PREFIX + name,
+            dest=CONFIG_PREFIX + name,
             default=argparse.SUPPRESS,
             metavar=_placeholder(field),
             help=described if default is None else f"{described} [{_shown(default)}]".strip(),
         )
         if "_" in name:  # as the file writes it
-            group.add_argument(f"--{name}", dest=_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+            group.add_argument(
+                f"--{name}", dest=CONFIG_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
+            )
         for old, new in RENAMED_FIT_OPTIONS.items():
             if name == f"fit.{new}" or name.startswith(f"fit.{new}."):
                 earlier = name.replace(new, old, 1)
                 spellings = sorted({f"--{earlier}", f"--{earlier.replace('_', '-')}"})
                 group.add_argument(
                     *spellings,
-                    dest=_PREFIX + name,
+                    dest=CONFIG_PREFIX + name,
                     action=_EarlierName,
                     default=argparse.SUPPRESS,
                     help=argparse.SUPPRESS,
@@ -69,7 +73,7 @@ class _EarlierName(argparse.Action):
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
     ) -> None:
-        key = self.dest.removeprefix(_PREFIX)
+        key = self.dest.removeprefix(CONFIG_PREFIX)
         _log.warning("the flag %s is now called --%s; use the new name", option, key.replace("_", "-"))
         setattr(namespace, self.dest, values)
 
@@ -100,9 +104,9 @@ class _Short(argparse.Action):
     ) -> None:
         room, _, key = self.option_strings[0].removeprefix("--").partition("-")
         if room == "init" and not key and values not in get_args(InitConfig.model_fields["method"].annotation):
-            setattr(namespace, f"{_PREFIX}init.file", values)
+            setattr(namespace, f"{CONFIG_PREFIX}init.file", values)
             values = "file"
-        setattr(namespace, f"{_PREFIX}{room}.{key or 'method'}", values)
+        setattr(namespace, f"{CONFIG_PREFIX}{room}.{key or 'method'}", values)
 
 
 def run_config(args: argparse.Namespace) -> RunConfig:
@@ -116,7 +120,7 @@ def run_config(args: argparse.Namespace) -> RunConfig:
     """
     path: Path | None = args.config
     from_file = check_options(read_toml(path), str(path)) if path else {}
-    from_flags = _nest({key: value for key, value in vars(args).items() if key.startswith(_PREFIX)})
+    from_flags = _nest({key: value for key, value in vars(args).items() if key.startswith(CONFIG_PREFIX)})
     if "weights" in args:
         from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": args.weights}})
     from_flags = check_options(from_flags, "options")
@@ -170,11 +174,11 @@ def _shown(default: Any) -> str:
 def _nest(flags: Mapping[str, str]) -> dict[str, Any]:
     content: dict[str, Any] = {}
     for key, text in flags.items():
-        *path, name = key.removeprefix(_PREFIX).split(".")
+        *path, name = key.removeprefix(CONFIG_PREFIX).split(".")
         inner = content
         for part in path:
             inner = inner.setdefault(part, {})
-        inner[name] = _parse(key.removeprefix(_PREFIX), text)
+        inner[name] = _parse(key.removeprefix(CONFIG_PREFIX), text)
     return content
 
 

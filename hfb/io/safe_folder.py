@@ -188,7 +188,7 @@ def read_head(root: Path, *parts: str, size: int) -> bytes:
         *parts: names of folders and of the file below ``root``.
         size: number of bytes.
     """
-    with _open_file(root, *parts) as file:
+    with open_file(root, *parts) as file:
         return file.read(size)
 
 
@@ -206,7 +206,7 @@ def copy_file(root: Path, *parts: str, to: Path) -> Path:
         the copy.
     """
     copy = to.joinpath(*parts)
-    with _open_file(root, *parts) as file:
+    with open_file(root, *parts) as file:
         copy.parent.mkdir(parents=True, exist_ok=True)
         with copy.open("xb") as target:
             shutil.copyfileobj(file, target)
@@ -214,7 +214,13 @@ def copy_file(root: Path, *parts: str, to: Path) -> Path:
 
 
 @contextmanager
-def _open_file(root: Path, *parts: str) -> Iterator[BinaryIO]:
+def open_file(root: Path, *parts: str) -> Iterator[BinaryIO]:
+    """Open a regular file below ``root`` for reading inside the block; raises as `read_file`.
+
+    Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
+    """
     *folders, name = parts
     check_ordinary(root, *parts)
     with open_folder(root, *folders) as folder:
