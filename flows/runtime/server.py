@@ -87,6 +87,9 @@ def load_prefect() -> None:
             from prefect.settings import get_current_settings
 
             get_current_settings()
+        from hfb.tasks.core.result_records import read_own_records_alone
+
+        read_own_records_alone()
         sys.stderr.write(said.getvalue())
     except (ValueError, TypeError) as error:  # of pydantic and of TOML
         reason = "; ".join(line.strip() for line in str(error).splitlines()[1:3]) or str(error)
