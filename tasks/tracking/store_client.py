@@ -115,7 +115,7 @@ def usable_store(uri: str) -> Iterator[None]:
     except StoreLost as lost:
         raise TemporaryError(str(lost)) from lost
     except ModuleNotFoundError as error:
-        package = "mysqlclient" if error.name == "MySQLdb" else error.name  # its module's name is no package's
+        package = "mysqlclient, which has MySQLdb" if error.name == "MySQLdb" else error.name
         raise InputError(f"the runs in {shown} need the Python package {package}: install it") from None
     except Exception as error:
         where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"

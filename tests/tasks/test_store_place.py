@@ -113,6 +113,15 @@ def test_postgres_is_told_its_name() -> None:
     assert "s3cret-word" not in str(told.value)
 
 
+@pytest.mark.parametrize("driver", ["postgresql+asyncpg", "mysql+aiomysql", "MYSQL+asyncmy"])
+def test_an_asynchronous_driver_is_refused_before_work_begins(driver: str) -> None:
+    with pytest.raises(
+        InputError, match=f"asynchronous: leave it out, as in {driver.lower().partition('+')[0]}://"
+    ) as told:
+        check_store(f"{driver}://me:s3cret-word@host/db")
+    assert "s3cret-word" not in str(told.value)
+
+
 @pytest.mark.parametrize(
     "given",
     [
