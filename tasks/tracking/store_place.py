@@ -196,6 +196,13 @@ def _check_sqlite(uri: str) -> None:
         named = "" if ":memory:" in name else name.removeprefix("file:")
         lasts = "names no file in which runs could be kept" if named else "keeps runs only until the command ends"
         raise InputError(f"{_VARIABLE} is {uri!r}, which {lasts}: {_advice(named or 'mlflow.db')}")
+    given = os.environ.get(_VARIABLE, "").strip().partition(":")[2].lstrip("/")
+    if given.startswith("~"):  # SQLite would make a folder of that name
+        home = Path(given.partition("?")[0]).expanduser()
+        raise InputError(
+            f"{_VARIABLE} is {os.environ[_VARIABLE]!r}, and ~ is not replaced there: set {_VARIABLE} to "
+            f"{sqlite_uri(home)}"
+        )
     other = f"set {_VARIABLE} to a file in a folder of yours, such as sqlite:////home/me/mlflow.db"
     try:
         make_folder(uri)

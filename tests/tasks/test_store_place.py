@@ -75,6 +75,8 @@ REFUSED = {
     "sqlite:mlflow.db": "names no file",
     "sqlite+aiosqlite:///mlflow.db": "names no file",
     "sqlite:///file:x.db?mode=ro&uri=true": "names no file",
+    "sqlite:///~/x.db": "~ is not replaced there",
+    "sqlite:////~/x.db": "~ is not replaced there",
     "mlruns": "plain folders",
     "./mlruns": "plain folders",
     "/{here}/mlruns": "plain folders",
@@ -95,6 +97,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("given", REFUSED)
 def test_advice_works_when_it_is_followed(given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("MLFLOW_TRACKING_URI", given.replace("/{here}", str(tmp_path)))
     with pytest.raises(InputError, match=re.escape(REFUSED[given])) as told:
         check_store(tracking_uri())
