@@ -93,7 +93,7 @@ def load_prefect() -> None:
 
         read_own_records_alone()
         sys.stderr.write(said.getvalue())
-    except (ValueError, TypeError) as error:  # of pydantic and of TOML
+    except (ValueError, TypeError, OSError) as error:  # of pydantic, of TOML, of a file that cannot be read
         reason = "; ".join(line.strip() for line in str(error).splitlines()[1:3]) or str(error)
         raise InputError(
             f"Prefect's settings cannot be used ({without_secrets(reason)}): mend the PREFECT_... variable or "
