@@ -208,7 +208,8 @@ def benchmark(
     Raises:
         InputError: something given cannot be used, or not one case is left.
     """
-    configs = [one.partition("=")[2] for one in methods or () if "=" in one]
+    entries = [one.strip() for text in methods or () for one in text.split(",")]
+    configs = [one.partition("=")[2] for one in entries if "=" in one]
     folders = [videos] if isinstance(videos, Path) else videos
     files = {"motions": motions, "videos": folders, "body": body, "methods": configs}
     with _on_a_worker(out, None, workers, store, **files):

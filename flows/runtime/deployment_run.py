@@ -30,7 +30,7 @@ from hfb.tasks.telemetry.secrets import hidden_in, secret_entry
 
 ENTRYPOINTS = frozenset(f"hfb.flows.deployed.{name}" for name in ("fit", "video", "batch", "benchmark", "train"))
 COMMAND = "python -P -m hfb.flows.runtime.deployment_run"
-_ENGINE = command_to_string([sys.executable, "-P", "-m", "prefect.engine"])  # -P: not what lies in the current folder
+_ENGINE = command_to_string([sys.executable, "-P", "-m", "hfb.flows.runtime.flow_process"])  # -P: nothing of the folder
 
 
 class NotOurs(RuntimeError):

@@ -70,4 +70,5 @@ def make_home() -> str | None:
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
     os.environ[_HOME] = str(Path(temporary) / _OWN)
     Path(os.environ[_HOME]).mkdir()
-    return f"{home} cannot be written ({reason}): Prefect's files are temporary; set XDG_STATE_HOME to keep them"
+    variable = "XDG_STATE_HOME" if home == platformdirs.user_state_path("hfb") / "prefect" else "PREFECT_HOME"
+    return f"{home} cannot be written ({reason}): Prefect's files are temporary; set {variable} to keep them"

@@ -8,6 +8,7 @@ import logging
 import logging.handlers
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -34,6 +35,7 @@ _READ_TIMEOUT_S = 60  # a new server is busy with its own start
 _SERVER_ERROR = 500
 _FULL = re.compile(r"disk is full|No space left|File too large")
 _LOG_BYTES = 2_000_000
+_NEEDED_BYTES = 1 << 20  # of a new database
 
 
 def log_path() -> Path:
@@ -87,8 +89,11 @@ def load_prefect() -> None:
             from prefect.settings import get_current_settings
 
             get_current_settings()
+        from hfb.tasks.core.result_records import read_own_records_alone
+
+        read_own_records_alone()
         sys.stderr.write(said.getvalue())
-    except (ValueError, TypeError) as error:  # of pydantic and of TOML
+    except (ValueError, TypeError, OSError) as error:  # of pydantic, of TOML, of a file that cannot be read
         reason = "; ".join(line.strip() for line in str(error).splitlines()[1:3]) or str(error)
         raise InputError(
             f"Prefect's settings cannot be used ({without_secrets(reason)}): mend the PREFECT_... variable or "
@@ -143,7 +148,7 @@ class PrefectServer:
                 self._start(self._database)
                 reason = self._trouble()
             if reason:
-                full = ": the disk is full, free some space or set XDG_STATE_HOME" if _FULL.search(self._said()) else ""
+                full = ": the disk is full, free some space or set XDG_STATE_HOME" if self._is_full() else ""
                 raise InfrastructureError(f"the temporary Prefect server {reason}{full}; its own log is {self._log}")
         finally:
             self._database.let_go()
@@ -172,6 +177,10 @@ class PrefectServer:
         said = self._said()
         full_or_busy = _FULL.search(said) or "database is locked" in said
         return re.search(r"sqlite3\.|sqlalchemy|alembic", said) is not None and not full_or_busy
+
+    def _is_full(self) -> bool:
+        """Return whether the disk is full; the log lies on it, too, and may say nothing."""
+        return bool(_FULL.search(self._said())) or shutil.disk_usage(self._home).free < _NEEDED_BYTES
 
     def _said(self) -> str:
         return self._log.read_text(errors="replace")

@@ -28,7 +28,7 @@ from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.map_task import Outcome, require_all
 from hfb.tasks.results.exports import ShotHandle
-from hfb.tasks.results.result_warnings import plate_warnings, tell
+from hfb.tasks.results.result_warnings import input_warnings, tell
 from hfb.tasks.telemetry import progress
 from hfb.tasks.video.external_poses import GivenBodyCall, find_given_body, looks_at, pictures_of, read_result
 from hfb.tasks.video.front_votes import weigh_segments
@@ -193,7 +193,8 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[],
 def _check_plate(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -> tuple[ResultWarning, ...]:
     """Return warnings where the plate contains the person."""
     if HOLDS_PERSON in plate.source:
-        return plate_warnings([f"it seems that {HOLDS_PERSON}"])
+        told = (f"it seems that {HOLDS_PERSON}",)
+        return input_warnings(told, told)
     never = check_never_left(track.boxes) if inputs.plate == "median" else None
     return (never,) if never else ()
 

@@ -31,7 +31,7 @@ from hfb.tasks.inputs.given_networks import shade_networks, tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes
 from hfb.tasks.results.exports import ShotHandle
 from hfb.tasks.results.result_report import fit_curves
-from hfb.tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
+from hfb.tasks.results.result_warnings import input_warnings, look_for_warnings, tell
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking.fit_record import fit_record
 from hfb.tasks.tracking.run_record import RunRecord
@@ -241,7 +241,7 @@ def fit_images(inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts = 
         firsts=firsts,
         fitted=fitted,
         scores=scores,
-        warnings=(*plate_warnings(scene.remarks), *found),
+        warnings=(*input_warnings(scene.remarks, scene.plate_remarks), *found),
         strip=strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder),
         curves=fit_curves(fitted, folder),
         own=own,

@@ -98,6 +98,7 @@ class ClipHandle(Record):
 
     Attributes:
         remarks: sentences for the user.
+        plate_remarks: those of them that are about the plate.
         world: of exports; None where nothing is known of it.
         readout: None where all rows are exposed at once, or nothing is known of it.
     """
@@ -112,6 +113,7 @@ class ClipHandle(Record):
     transfer: Literal["srgb", "linear", "bt709", "gamma22"]
     light: Literal["srgb", "linear"]
     remarks: tuple[str, ...] = ()
+    plate_remarks: tuple[str, ...] = ()
     world: World | None = None
     readout: ReadoutRecord | None = None
 

@@ -1,7 +1,8 @@
 """Cached results of tasks in a folder of their own; records in any other format are not read.
 
 Prefect lets a record choose how it is deserialised, pickle included: whoever hands over a result's folder could run
-code at the next start in it. Ours are JSON of our own handles.
+code at the next start in it. So could whoever sets the state of a run, which may name any file as its result. Ours are
+JSON of our own handles.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from prefect.context import FlowRunContext
-from prefect.serializers import JSONSerializer
+from prefect.results import ResultRecord
+from prefect.serializers import JSONSerializer, Serializer
 from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 
 from hfb.io.safe_folder import check_tree, open_folder, read_file
@@ -27,6 +29,19 @@ _OURS = "hfb."
 _ASIDE, _LONGEST_NAME = "records-set-aside", 200
 _BYTE_LIMIT = 64 << 20
 _log = logging.getLogger(__name__)
+_deserialize = ResultRecord.deserialize
+
+
+def read_own_records_alone() -> None:
+    """Make Prefect, for the rest of this process, refuse every record that is not hfb's at the moment it is read."""
+
+    def deserialize(
+        _: type[ResultRecord[Any]], data: bytes, backup_serializer: Serializer | None = None
+    ) -> ResultRecord[Any]:
+        check_record(data)
+        return _deserialize(data)
+
+    ResultRecord.deserialize = classmethod(deserialize)  # type: ignore[assignment]  # results of states come this way too
 
 
 @contextmanager
@@ -68,15 +83,28 @@ def drop_foreign(place: Path) -> int:
     return len(foreign)
 
 
+def check_record(data: bytes) -> None:
+    """Raise ValueError if a record is not JSON of hfb's own handles.
+
+    Args:
+        data: the record as it is stored.
+    """
+    try:
+        record = json.loads(data)
+        is_ours = record["metadata"]["serializer"] == JSONSerializer().model_dump(mode="json")
+        json.loads(record["result"], object_hook=_only_handles)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        is_ours = False
+    if not is_ours:
+        raise ValueError("a result that is no record of hfb's is not read")
+
+
 def _is_ours(path: Path) -> bool:
     try:
         if not path.name.startswith(_NAME):
             return False
-        record = json.loads(read_file(path.parent, path.name, limit=_BYTE_LIMIT))
-        if record["metadata"]["serializer"] != JSONSerializer().model_dump(mode="json"):
-            return False
-        json.loads(record["result"], object_hook=_only_handles)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        check_record(read_file(path.parent, path.name, limit=_BYTE_LIMIT))
+    except (OSError, ValueError):
         return False
     return True
 

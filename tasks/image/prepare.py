@@ -89,6 +89,7 @@ def prepare(
         transfer=clip.transfer,
         light=exposure.light,
         remarks=(*images.remarks(), *check_pinhole(K, height, width), *doubts),
+        plate_remarks=doubts,
         world=clip_world(camera, clip.camera, frames[0].path.name),
         readout=find_readout(clip.exposure, exposure),
     )

@@ -91,10 +91,15 @@ def tell(warnings: Sequence[ResultWarning]) -> None:
         progress.say(f"hfb: warning: {one.message}")
 
 
-def plate_warnings(remarks: Sequence[str]) -> tuple[ResultWarning, ...]:
-    """Return remarks on the plate from before the fit as warnings of the result.
+def input_warnings(remarks: Sequence[str], of_plate: Sequence[str]) -> tuple[ResultWarning, ...]:
+    """Return remarks from before the fit as warnings of the result: `plate` or, on files and camera, `input`.
 
     Args:
         remarks: one sentence each.
+        of_plate: those of them that are about the plate.
     """
-    return tuple(ResultWarning(code="plate", value=1.0, frames=(), message=remark) for remark in remarks)
+    codes = ("plate" if remark in of_plate else "input" for remark in remarks)
+    return tuple(
+        ResultWarning(code=code, value=1.0, frames=(), message=remark)
+        for code, remark in zip(codes, remarks, strict=True)
+    )

@@ -16,24 +16,44 @@ from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 HIDDEN = "***"
 _NAMES = (
-    r"(?:[\w.-]*[._-])?(?:password|passwd|passphrase|pwd|token|secret|signature|sig|api[_-]?key|access[_-]?key(?:[_-]?id)?|"
+    r"(?:[\w.-]*[._-])?(?:pass(?:word|wd|phrase|code)?|pwd?|token|secret|signature|sig|api[_-]?key|access[_-]?key(?:[_-]?id)?|"
     r"secret[_-]?(?:access[_-]?)?key|account[_-]?key|private[_-]?key|auth[_-]?string|credentials?|authorization)|"
     r"pgpassword|AWSAccessKeyId|GoogleAccessId|accesstoken|sessiontoken|securitytoken|sharedaccesskey|sharedaccesssignature"
 )
 """Names of secret values: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
+_QUERY_NAMES = r"key|code|auth|sas|hmac|jwt|sid|session(?:[_-]?id)?|ticket|assertion"  # secret in an address alone
+_CERTAIN_NAMES = (
+    r"(?:[\w.-]*[._-])?(?:pass(?:word|wd|phrase)|pwd|(?:api|access|secret|account|private)[_-]?key|auth[_-]?string)"
+)
+_ISSUED = (
+    r"(?:hf|gh[pousr]|npm|pn[ub])_[A-Za-z0-9]{20,}|(?:github_pat_|glpat-|xox[abeoprs]-|sk-|pypi-|AIza)(?=[\w-]*\d)[\w-]{20,}|"
+    r"dapi[0-9a-f]{32}|A[KS]IA[0-9A-Z]{16}|eyJ[\w-]+\.eyJ[\w-]+\.[\w-]*"
+)
+"""Tokens that begin as their services issue them: Hugging Face, GitHub, GitLab, Slack, Prefect, PyPI, JWT ..."""
 
 _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
-    (re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@"), rf"\1:{HIDDEN}@"),
-    (re.compile(r"(\b[a-zA-Z][\w+.-]*://)(?!\*\*\*)[^\s/:@'\"?#]+@"), rf"\1{HIDDEN}@"),
-    (re.compile(r"(?i)(\b[a-z][\w+.-]*%3A%2F%2F)(?:(?!%2F|%26)[^\s'\"&])+?%40"), rf"\1{HIDDEN}%40"),
+    (re.compile(r"(\b[a-zA-Z][\w+.-]{0,30}://[^\s/:@'\"]*):[^\s'\"]{0,4096}@"), rf"\1:{HIDDEN}@"),
+    (re.compile(r"(\b[a-zA-Z][\w+.-]{0,30}://)(?!\*\*\*)[^\s/:@'\"?#]+@"), rf"\1{HIDDEN}@"),
+    (re.compile(r"(?i)(\b[a-z][\w+.-]{0,30}%3A%2F%2F)(?:(?!%2F|%26)[^\s'\"&]){1,4096}?%40"), rf"\1{HIDDEN}%40"),
     (  # webhooks, whose path alone lets anybody post
-        re.compile(r"(?i)((?:hooks\.slack|discord|discordapp|telegram|webhook\.office)\.(?:com|org)/)[^\s'\"?#<>*]+"),
+        re.compile(
+            r"(?i)((?:hooks\.slack|discord|discordapp|telegram|(?:webhook|outlook)\.office|maker\.ifttt|events\.pagerduty)"
+            r"\.(?:com|org)/)[^\s'\"?#<>*]+"
+        ),
         rf"\1{HIDDEN}",
     ),
+    (re.compile(r"(?i)(\bhttps?://[^\s'\"?#]{1,200}/(?:web)?hooks?/)[^\s'\"?#<>*]+"), rf"\1{HIDDEN}"),
+    (  # of Apprise, whose addresses are tokens
+        re.compile(
+            r"(?i)\b((?:slack|discord|tgram|msteams|workflows?|pover|pbul|gotifys?|ifttt|mmosts?|ntfys?)://)[^\s'\"]+"
+        ),
+        rf"\1{HIDDEN}",
+    ),
+    (re.compile(r"(?<![\w.:+%-])([\w.+%-]+:)[^\s/\\@:'\"]+(@(?!sha256:)[a-zA-Z0-9\[])"), rf"\1{HIDDEN}\2"),
     (
         re.compile(
             r"(?i)\b((?:proxy-)?authorization\\?[\"']?\s*(?:[:=]|%3A|%3D)\s*\\?[\"']?"
-            r"(?:(?:bearer|basic|digest|token|negotiate|sharedkey)(?:\s+|%20|\+))?)[^\s'\",;&\\]+"
+            r"(?:(?:bearer|basic|digest|token|negotiate|sharedkey|api-?key|key|ntlm|oauth)(?:\s+|%20|\+))?)[^\s'\",;&\\]+"
         ),
         rf"\1{HIDDEN}",
     ),
@@ -43,11 +63,18 @@ _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"(?i)\b(x-[\w-]*(?:key|token|signature|credential|secret)\s*:\s*)[^\s'\",;]+"), rf"\1{HIDDEN}"),
     (
         re.compile(
-            rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23))((?:{_NAMES})(?:\s?=\s?|%3D))\\?[\"']?"
+            rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23|%3B))((?:{_NAMES})(?:\s?=\s?|%(?:25)*3D))\\?[\"']?"
             r"(?:(?!%26)[^&\s'\"<>\\])+"
         ),
         rf"\1{HIDDEN}",
     ),
+    (re.compile(rf"(?i)([?&;](?:{_QUERY_NAMES})=)[^&\s'\"<>#]+"), rf"\1{HIDDEN}"),
+    (re.compile(rf"(?i)(?<![\w-])(--(?:{_NAMES})(?:\s+|[\"'],\s*[\"']))(?!-)[^\s'\"]+"), rf"\1{HIDDEN}"),
+    (re.compile(r"(?<![\w-])((?:--(?:proxy-)?user|-u)[\s=]+[\w.@-]+:)(?!\d+\b)[^\s'\"]+"), rf"\1{HIDDEN}"),
+    (re.compile(rf"(?i)(?<![\w.-])((?:{_CERTAIN_NAMES})\s*:\s*[\"']?)(?![\"'*])[^\s'\",;]+"), rf"\1{HIDDEN}"),
+    (re.compile(rf"(?i)(?<![\w.-])((?:{_NAMES})\s*:\s*[\"']?)(?=[\w+/=.~-]*\d)[\w+/=.~-]{{8,}}"), rf"\1{HIDDEN}"),
+    (re.compile(rf"(?<![\w-])(?:{_ISSUED})"), HIDDEN),
+    (re.compile(r"(-----BEGIN [A-Z ]*PRIVATE KEY-----)[^-]+"), rf"\1{HIDDEN}"),
     (re.compile(rf"(?i)(\\?[\"'](?:{_NAMES})\\?[\"']\s*:\s*\\?[\"'])[^'\"\\]+"), rf"\1{HIDDEN}"),
 )
 _SECRETS = (

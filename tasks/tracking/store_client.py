@@ -115,7 +115,8 @@ def usable_store(uri: str) -> Iterator[None]:
     except StoreLost as lost:
         raise TemporaryError(str(lost)) from lost
     except ModuleNotFoundError as error:
-        raise InputError(f"the runs in {shown} need the Python package {error.name}: install it") from None
+        package = "mysqlclient, which has MySQLdb" if error.name == "MySQLdb" else error.name
+        raise InputError(f"the runs in {shown} need the Python package {package}: install it") from None
     except Exception as error:
         where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"
         what = "check its address and start it" if sqlite_file(uri) is None else "mend it"

@@ -27,6 +27,7 @@ _HEALTH_TIMEOUT_S = 3
 _VARIABLE = "MLFLOW_TRACKING_URI"
 _SQLITE = re.compile(r"sqlite(?:\+(?P<driver>\w+))?:(?P<slashes>/*)(?P<rest>.*)", re.IGNORECASE | re.DOTALL)
 _DATABASES = ("postgresql", "mysql", "mssql")
+_ASYNCHRONOUS = re.compile(r"\w+\+(?:asyncpg|psycopg_async|aiomysql|asyncmy|aioodbc):", re.IGNORECASE)
 _OTHER_STORES = ("databricks", "databricks-uc", "uc")
 _NEEDED_BYTES = 4 << 20
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -91,6 +92,10 @@ def check_store(uri: str) -> None:
             raise TemporaryError(
                 f"the MLflow server at {shown} {reason}: start it, or unset {_VARIABLE} to record locally"
             )
+    elif _ASYNCHRONOUS.match(uri):
+        raise InputError(
+            f"{_VARIABLE} is {without_secrets(uri)!r}, whose driver is asynchronous: leave it out, as in {scheme}://"
+        )
     elif scheme == "sqlite":
         _check_sqlite(uri)
     elif uri in _OTHER_STORES:
@@ -191,6 +196,13 @@ def _check_sqlite(uri: str) -> None:
         named = "" if ":memory:" in name else name.removeprefix("file:")
         lasts = "names no file in which runs could be kept" if named else "keeps runs only until the command ends"
         raise InputError(f"{_VARIABLE} is {uri!r}, which {lasts}: {_advice(named or 'mlflow.db')}")
+    given = os.environ.get(_VARIABLE, "").strip().partition(":")[2].lstrip("/")
+    if given.startswith("~"):  # SQLite would make a folder of that name
+        home = Path(given.partition("?")[0]).expanduser()
+        raise InputError(
+            f"{_VARIABLE} is {os.environ[_VARIABLE]!r}, and ~ is not replaced there: set {_VARIABLE} to "
+            f"{sqlite_uri(home)}"
+        )
     other = f"set {_VARIABLE} to a file in a folder of yours, such as sqlite:////home/me/mlflow.db"
     try:
         make_folder(uri)

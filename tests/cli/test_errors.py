@@ -151,11 +151,14 @@ def test_a_prefect_server_that_is_not_there(
 
 @pytest.mark.parametrize(
     ("variable", "profiles"),
-    [("PREFECT_CLIENT_MAX_RETRIES", ""), ("NONE", "active = 'mine'\n[profiles.mine"), ("NONE", "a\0b")],
+    [("PREFECT_CLIENT_MAX_RETRIES", ""), ("NONE", "active = 'mine'\n[profiles.mine"), ("NONE", "a\0b"), ("NONE", None)],
 )
-def test_settings_of_prefect_that_cannot_be_used(variable: str, profiles: str, tmp_path: Path) -> None:
-    """Prefect reads them while it is imported, before anything can be asked."""
-    (tmp_path / "profiles.toml").write_text(profiles)
+def test_settings_of_prefect_that_cannot_be_used(variable: str, profiles: str | None, tmp_path: Path) -> None:
+    """Prefect reads them while it is imported, before anything can be asked. None: a folder in the file's place."""
+    if profiles is None:
+        (tmp_path / "profiles.toml").mkdir()
+    else:
+        (tmp_path / "profiles.toml").write_text(profiles)
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     environment |= {"PREFECT_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), variable: "abc"}
     done = subprocess.run(

@@ -96,7 +96,7 @@ def test_an_older_schema_and_the_advice_for_it(tmp_path: Path, monkeypatch: pyte
 
 def test_a_driver_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "mysql://me@127.0.0.1/db")
-    with at_most(), pytest.raises(InputError, match="MySQLdb: install it"):
+    with at_most(), pytest.raises(InputError, match="mysqlclient, which has MySQLdb: install it"):
         tracking.open_store()
 
 

@@ -58,6 +58,21 @@ def started(home: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+def test_a_full_disk_is_named_although_the_log_lies_on_it(tmp_path: Path) -> None:
+    """A disk of its own, of 4 MB with 100 kB left; only where one may be mounted."""
+    home = tmp_path / "home"
+    home.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(home)], capture_output=True).returncode:
+        pytest.skip("no disk can be mounted here")
+    try:
+        (home / "ballast").write_bytes(b"x" * (shutil.disk_usage(home).free - 100_000))
+        told = started(home)
+    finally:
+        subprocess.run(["umount", "--lazy", str(home)], check=True)
+    assert told.returncode != 0
+    assert "the disk is full, free some space or set XDG_STATE_HOME" in told.stderr
+
+
 def test_two_first_servers_come_one_after_the_other(tmp_path: Path) -> None:
     first = PrefectDatabase(tmp_path, no_words)
     waited: list[PrefectDatabase] = []

@@ -68,6 +68,15 @@ def test_the_users_server_is_found_and_the_users_home_untouched(folder: str, tmp
     assert (users / "prefect.db").read_bytes() == b"theirs"
 
 
+def test_the_users_own_variable_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("PREFECT_HOME", str(tmp_path / "file"))
+    use_own_home()
+    remark = make_home()
+    assert remark is not None
+    assert "set PREFECT_HOME to keep them" in remark
+
+
 def test_where_it_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))

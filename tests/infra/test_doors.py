@@ -8,6 +8,7 @@ import os
 import ssl
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from http.client import HTTPSConnection
 from pathlib import Path
@@ -15,6 +16,8 @@ from typing import Any
 
 import httpx
 import pytest
+from prefect.results import ResultRecord, ResultRecordMetadata
+from prefect.serializers import PickleSerializer
 
 from hfb.flows.runtime.deployment_run import COMMAND
 from tests.infra.asking import api, ended, prefect_routes, started
@@ -166,6 +169,38 @@ def test_a_changed_pool_changes_nothing(here: Team, worker: None, marker: Path) 
     assert not marker.exists()
 
 
+class _Marks:
+    """Opened by pickle, it writes a file."""
+
+    def __init__(self, marker: Path) -> None:
+        self._marker = marker
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self._marker,)
+
+
+def test_the_result_that_a_state_names_is_not_read(here: Team, worker: None, marker: Path) -> None:
+    """Members set states; Prefect would read the file that one names, and how the file says."""
+    pickled = PickleSerializer(picklelib="pickle")
+    record: ResultRecord[Any] = ResultRecord(metadata=ResultRecordMetadata(serializer=pickled), result=_Marks(marker))
+    file = here.folder / "data" / "result-of-a-member"
+    file.write_bytes(record.serialize())
+    named = {"storage_key": str(file), "serializer": {"type": "pickle"}}
+    with api(here) as client:
+        run = started(client, "fit/fit", _NOWHERE)
+        until = time.monotonic() + _ENDED_S
+        while client.get(f"/flow_runs/{run}").json()["state"]["type"] == "SCHEDULED":
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        done = {"state": {"type": "COMPLETED", "data": named}, "force": True}  # before its process begins
+        assert client.post(f"/flow_runs/{run}/set_state", json=done).status_code == 201
+    while "no record of hfb's" not in here.log("worker-of-doors"):
+        assert not marker.exists()
+        assert time.monotonic() < until, here.log("worker-of-doors")
+        time.sleep(0.2)
+    assert not marker.exists()
+
+
 _MEMBERS = {
     ("POST", "/api/deployments/{id}/create_flow_run"),
     ("POST", "/api/flows/"),
@@ -262,12 +297,17 @@ def test_parameters_point_into_the_folder_of_the_data(here: Team, worker: None, 
     data = here.folder / "data"
     (data / "out-of-it").symlink_to(here.folder / "secrets")
     (data / "net.pt").write_text("no network")
+    (data / "method.toml").write_text("seed = 1")
+    (data / "method-out").symlink_to(here.folder / "secrets" / "prefect_admin")
     good = {"source": str(data), "out": str(data / "out")}
+    compared = {"out": str(data / "compared"), "count": 1}
     fit = {"frames": [str(data / "a.png")], "background": str(data / "b.png"), "out": str(data / "out")}
     asked: dict[str, tuple[str, dict[str, Any]]] = {
         "frames: ": ("fit/fit", fit | {"frames": [str(problem.frame)]}),
         "source: ": ("clip/video", good | {"source": str(data / "out-of-it" / "prefect_auth")}),
         "store: ": ("clip/video", good | {"store": "s3://mlflow/1"}),
+        "methods: ": ("methods/benchmark", compared | {"methods": [f"a={data}/method.toml,b=/etc/passwd"]}),
+        "methods: b": ("methods/benchmark", compared | {"methods": [f"b={data}/method-out "]}),
         "options.matting.weights: ": (
             "fit/fit",
             fit | {"options": {"matting": {"method": "bgmv2", "weights": str(data / "net.pt")}}},

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.infra.team import Team, missing
+from tests.infra.team import ROOT, Team, missing
 
 pytestmark = pytest.mark.skipif(missing() is not None, reason=missing() or "")
 _PASSWORD = "long enough to be one"
@@ -77,6 +77,36 @@ def test_an_account_reads_its_own_run(ann: httpx.Client, recorded: Recorded) -> 
     assert ann.post(f"{_API}/runs/log-metric", json=metric).status_code == 200
     assert ann.get("/").status_code == 200
     assert recorded.run in ann.post("/graphql", json=_query(recorded)).text
+
+
+def test_an_account_reads_what_the_administrator_grants(
+    admin: httpx.Client, ann: httpx.Client, eve: httpx.Client
+) -> None:
+    """By the commands of infra/compose/README.md, and until it is taken back."""
+    granted, taken_back = (f"/api/3.0/mlflow/users/permissions/{one}" for one in ("grant", "revoke"))
+    assert f"https://HOST:5000{granted} " in (ROOT / "infra" / "compose" / "README.md").read_text()
+    experiment = ann.post(f"{_API}/experiments/create", json={"name": "shown"}).json()["experiment_id"]
+    info = ann.post(f"{_API}/runs/create", json={"experiment_id": experiment, "start_time": 1}).json()["run"]["info"]
+    run, files = {"run_id": info["run_id"]}, "/api/2.0/mlflow-artifacts/artifacts"
+    path = info["artifact_uri"].removeprefix("mlflow-artifacts:/")
+    assert ann.put(f"{files}/{path}/shown.txt", content=b"shown").status_code == 200
+
+    def codes() -> list[int]:
+        return [
+            eve.get(f"{_API}/runs/get", params=run).status_code,
+            eve.get("/get-artifact", params=run | {"path": "shown.txt"}).status_code,
+            eve.put(f"{files}/{path}/eves.txt", content=b"x").status_code,
+            eve.post(f"{_API}/runs/delete", json=run).status_code,
+        ]
+
+    right = {"username": "eve", "resource_type": "experiment", "resource_id": experiment}
+    for who in (ann, eve):
+        assert who.post(granted, json=right | {"permission": "READ"}).status_code == 403
+    assert codes() == [403] * 4
+    assert admin.post(granted, json=right | {"permission": "READ"}).status_code == 200
+    assert codes() == [200, 200, 403, 403]
+    assert admin.post(taken_back, json=right).status_code == 200
+    assert codes() == [403] * 4
 
 
 def _query(recorded: Recorded) -> dict[str, Any]:

@@ -106,7 +106,10 @@ def _beats(client: httpx.Client, run: str, count: int) -> list[float]:
 def _process_of(run: str) -> int:
     for process in psutil.process_iter():
         try:
-            if process.environ().get("PREFECT__FLOW_RUN_ID") == run and "prefect.engine" in process.cmdline():
+            if (
+                process.environ().get("PREFECT__FLOW_RUN_ID") == run
+                and "hfb.flows.runtime.flow_process" in process.cmdline()
+            ):
                 return process.pid
         except psutil.Error:
             continue

@@ -15,6 +15,7 @@ from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import load_camera, load_image
 from hfb.tasks.image.prepare import prepare
+from hfb.tasks.results.result_warnings import input_warnings
 from tests.matting.silhouettes import composite, generated_plate
 
 
@@ -129,9 +130,11 @@ def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path,
 
     def remarks(*names: str) -> tuple[str, ...]:
         frames = tuple(files[name] for name in names)
-        return prepare.fn(
+        made = prepare.fn(
             frames=frames, background=files["plate"], clip=clip, camera=CameraConfig(), exposure=ExposureConfig()
-        ).remarks
+        )
+        assert made.plate_remarks == made.remarks
+        return made.remarks
 
     assert remarks("right") == ()
     (beside,), (bright,) = remarks("beside"), remarks("bright")
@@ -140,3 +143,21 @@ def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path,
     assert "differ in exposure (by a factor of about 1.6)" in bright
     assert "(--background)" in bright
     assert remarks("right", "beside") == remarks("beside", "right") == ()
+
+
+def test_a_remark_on_a_file_is_no_remark_on_the_plate(tmp_path: Path) -> None:
+    scene = composite(generated_plate("clouds"), 16, 3)
+    for name, picture in {"frame": np.roll(scene.frame, (4, 3), (0, 1)), "plate": scene.plate}.items():
+        write_png(tmp_path / f"{name}.png", linear_to_srgb(picture))
+    frame, plate = (tmp_path / f"{name}.png" for name in ("frame", "plate"))
+    with Image.open(frame) as opened:
+        clear = opened.convert("RGBA")
+    clear.putalpha(200)
+    clear.save(frame)
+    clip = prepare.fn(
+        frames=(FileHandle.of(frame),), background=FileHandle.of(plate), clip=Clip(), camera=CameraConfig(),
+        exposure=ExposureConfig(),
+    )  # fmt: skip
+    codes = {one.code: one.message for one in input_warnings(clip.remarks, clip.plate_remarks)}
+    assert "is transparent" in codes["input"]
+    assert "do not lie on each other" in codes["plate"]

@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 from prefect import flow, task
 from prefect.filesystems import LocalFileSystem
-from prefect.results import ResultStore, get_result_store
+from prefect.results import ResultRecord, ResultStore, get_result_store
 from prefect.serializers import JSONSerializer, PickleSerializer
 
+from hfb.tasks.core import result_records
 from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.core.result_records import drop_foreign, records_in
+from hfb.tasks.core.result_records import drop_foreign, read_own_records_alone, records_in
 from tests.orchestration import orchestrated
 
 
@@ -32,6 +33,13 @@ def store(folder: Path, serializer: Any) -> ResultStore:
     )
 
 
+@pytest.fixture
+def as_prefect_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Undoes what a command did earlier in this process, and afterwards what the test does."""
+    monkeypatch.setattr(ResultRecord, "deserialize", result_records._deserialize)
+
+
+@pytest.mark.usefixtures("as_prefect_reads")
 def test_a_pickled_record_is_removed_before_prefect_runs_it(tmp_path: Path) -> None:
     attack = Attack(tmp_path / "attacked")
     store(tmp_path / "records", PickleSerializer()).write(attack, key="hfb-find_matte-0")
@@ -43,6 +51,25 @@ def test_a_pickled_record_is_removed_before_prefect_runs_it(tmp_path: Path) -> N
     assert drop_foreign(tmp_path / "records") == 1
     assert not (tmp_path / "records" / "hfb-find_matte-0").exists()
     assert not attack.target.exists()
+
+
+@pytest.mark.usefixtures("as_prefect_reads")
+def test_a_record_is_looked_at_again_when_it_is_read(tmp_path: Path) -> None:
+    """Put there after the folder was looked at, or anywhere, by a run's state that names it as the run's result."""
+    attack = Attack(tmp_path / "attacked")
+    (tmp_path / "a").write_bytes(b"1")
+    theirs, ours = (store(tmp_path / "records", kind) for kind in (PickleSerializer(), JSONSerializer()))
+    theirs.write(attack, key="hfb-find_matte-0")
+    theirs.write((1, 2), key="hfb-find_matte-1")
+    (tmp_path / "records" / "hfb-find_matte-2").write_bytes(PickleSerializer().dumps(attack))
+    ours.write(FileHandle.of(tmp_path / "a"), key="hfb-find_matte-3")
+    read_own_records_alone()
+    for number in range(3):
+        for reader in (ours, theirs):
+            with pytest.raises(ValueError, match="no record of hfb's"):
+                reader.read(f"hfb-find_matte-{number}")
+    assert not attack.target.exists()
+    assert ours.read("hfb-find_matte-3").result == FileHandle.of(tmp_path / "a")
 
 
 @pytest.mark.integration

@@ -75,6 +75,8 @@ REFUSED = {
     "sqlite:mlflow.db": "names no file",
     "sqlite+aiosqlite:///mlflow.db": "names no file",
     "sqlite:///file:x.db?mode=ro&uri=true": "names no file",
+    "sqlite:///~/x.db": "~ is not replaced there",
+    "sqlite:////~/x.db": "~ is not replaced there",
     "mlruns": "plain folders",
     "./mlruns": "plain folders",
     "/{here}/mlruns": "plain folders",
@@ -95,6 +97,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("given", REFUSED)
 def test_advice_works_when_it_is_followed(given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("MLFLOW_TRACKING_URI", given.replace("/{here}", str(tmp_path)))
     with pytest.raises(InputError, match=re.escape(REFUSED[given])) as told:
         check_store(tracking_uri())
@@ -110,6 +113,15 @@ def test_advice_works_when_it_is_followed(given: str, tmp_path: Path, monkeypatc
 def test_postgres_is_told_its_name() -> None:
     with pytest.raises(InputError, match="postgresql://") as told:
         check_store("postgres://me:s3cret-word@host/db")
+    assert "s3cret-word" not in str(told.value)
+
+
+@pytest.mark.parametrize("driver", ["postgresql+asyncpg", "mysql+aiomysql", "MYSQL+asyncmy"])
+def test_an_asynchronous_driver_is_refused_before_work_begins(driver: str) -> None:
+    with pytest.raises(
+        InputError, match=f"asynchronous: leave it out, as in {driver.lower().partition('+')[0]}://"
+    ) as told:
+        check_store(f"{driver}://me:s3cret-word@host/db")
     assert "s3cret-word" not in str(told.value)
 
 
