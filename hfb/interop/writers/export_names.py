@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 
 from hfb.config import Film, MotionFormat
-from hfb.errors import InputError
+from hfb.errors import InputError, install_advice
 
 FILE_NAMES: dict[MotionFormat, str] = {
     "amass": "amass.npz",
@@ -44,4 +44,4 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
         InputError: one is missing.
     """
     if "c3d" in formats and find_spec("c3d") is None:
-        raise InputError("joints.c3d needs the c3d library: pip install 'hfb[c3d]', or leave c3d out of the formats")
+        raise InputError(f"joints.c3d needs the c3d library: {install_advice('c3d')}; or leave c3d out of the formats")
