@@ -214,7 +214,7 @@ class Result:
                 shot = self._fit.shot
                 film = FileHandle.of(write_page_film(shot.load(), shot.motion.sha256, Path(private)))
             known = {name: FileHandle.of(path) for name, path in self._files.items() if name in _FILES}
-            parts = ReportParts.among(known, film)
+            parts = ReportParts.among(known, film).in_folder(target)
             name = target.resolve().name
             write_page(parts, self.body, hidden_in(self.facts), environment(), path=made / REPORT, name=name)
         return target / REPORT

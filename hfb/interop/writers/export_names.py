@@ -30,6 +30,23 @@ RECORD = "record.json"
 REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 """The page about a result, what its curves show, and its film among the intermediate files."""
 
+LINKED_FILES = {
+    "motion.glb": "the body with skeleton and texture, for Blender and other viewers of glTF",
+    "motion.bvh": "the skeleton's motion for other rigs",
+    "amass.npz": "the motion in AMASS's layout",
+    "joints.csv": "positions of the joints as a table",
+    "joints.trc": "positions of the joints for OpenSim",
+    "joints.c3d": "positions of the joints for biomechanics programs",
+    "slowmotion.mp4": "the motion slowed down, beside the blurred picture",
+    "exact_time.mp4": "the motion at its true times",
+    "overlay.mp4": "the body over the pictures",
+    "strip.png": "the strip above at its full size",
+    "motion.npz": "poses, shape and joints for programs in Python",
+    "alternatives.npz": "other motions that explain the picture",
+    RESULT: "all figures, options and warnings",
+}
+"""Files beside a page that it links to, and what they are."""
+
 NEEDS_BODY: tuple[MotionFormat, ...] = ("glb",)
 """Formats with a surface; the others need nothing but the motion."""
 
