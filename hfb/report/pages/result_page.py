@@ -143,10 +143,23 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]
     """Return nested values with dotted names."""
     rows: list[tuple[str, str]] = []
     for name, value in content.items():
+        if isinstance(value, list) and any(isinstance(one, Mapping) for one in value):
+            value = {str(number): one for number, one in enumerate(value)}
         if isinstance(value, Mapping) and value:
             rows += _flat(value, f"{prefix}{name}.")
         else:
-            rows.append((f"{prefix}{name}", "-" if value is None else str(value)[:_LONGEST_WORDS]))
+            rows.append((f"{prefix}{name}", _shown(value)[:_LONGEST_WORDS]))
         if len(rows) > _MOST_ROWS:
             return [*rows[:_MOST_ROWS], ("...", "the rest is in result.json")]
     return rows
+
+
+def _shown(value: Any) -> str:
+    """Return a value as a reader writes it: no brackets, no long fractions."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return ", ".join(map(_shown, value)) or "-"
+    return "-" if value is None else str(value)
