@@ -138,6 +138,25 @@ def assert_strip_is_whole(shown: Opened) -> None:
     assert (halves[0]["y"] == halves[1]["y"]) == (width > 700)
 
 
+def test_nested_figures_are_readable() -> None:
+    """No brackets and braces of Python: every figure has a name of its own, and as many digits as a reader needs."""
+    facts = {
+        "fronts": [{"right": {"body": 0.123456789, "left arm": None}}, {"right": {"body": 1.0}}],
+        "gaps": [[5, 9]],
+        "edges": [],
+        "world": {"doubtful": True, "tilt_deg": 2.5},
+    }
+    motion = motion_of(BODY)
+    text = result_page(ResultContents(title="a", facts=facts, motion=motion, body=None))
+    rows = dict(re.findall(r'<tr><td class="name">([^<]*)</td><td>([^<]*)</td></tr>', text))
+    assert rows["fronts.0.right.body"] == "0.123457"
+    assert rows["fronts.0.right.left arm"] == "-"
+    assert rows["fronts.1.right.body"] == "1"
+    assert rows["gaps"] == "5, 9"
+    assert rows["edges"] == "-"
+    assert rows["world.doubtful"] == "yes"
+
+
 def test_it_links_to_the_files_beside_it() -> None:
     motion = motion_of(BODY)
     alone = ResultContents(title="a", facts={}, motion=motion, body=None)
