@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -133,7 +134,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
     Raises:
         InputError: something given cannot be used, or not one case is left.
     """
-    spec = plan.spec
+    spec, began_ms = plan.spec, time.time_ns() // 1_000_000
     with workspace(out) as folder, records_in(folder):
         for inner in ("cases", "methods"):
             check_tree(out, inner)
@@ -202,6 +203,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
                 methods=_options(plan),
                 results=results,
                 files=tuple(files.values()),
+                began_ms=began_ms,
             )
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:

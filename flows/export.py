@@ -18,7 +18,7 @@ from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
 from hfb.io.clip import Clip, read_clip
 from hfb.io.media.images.image_io import stored_png
-from hfb.io.media.lens.camera_pose import clip_world
+from hfb.io.media.lens.camera_pose import clip_world, pose_remarks
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.out_place import check_no_clip
@@ -72,6 +72,8 @@ def export_result(
         motion, space = load_motion(place.motion)
         told = read_clip(clip) if clip else Clip()
         world = clip_world(camera, told.camera, told.video.name if told.video else "")
+        for remark in pose_remarks(told.camera, told.video.name if told.video else ""):
+            progress.say(f"hfb: {remark}")
         motion = replace(motion, world=_with_up(world or motion.world, camera.world_up))
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = load_fitted_body(motion, space, body or find_named_body(place.files / RESULT)) if surface else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -69,7 +70,7 @@ def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, A
 
 
 def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
-    config = with_height(config, inputs.clip)
+    config, began_ms = with_height(config, inputs.clip), time.time_ns() // 1_000_000
     with workspace(out) as folder, records_in(folder):
         fit = fit_images(inputs, config, folder)
         exports = export_motion(fit.shot, fit.fitted.texture_image, config.export, folder)
@@ -80,7 +81,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             "report": str(out.resolve() / REPORT) if config.export.report else None,
         }
         files = fit.files() | exports.by_name()
-        of_run = fit.record(files, result)
+        of_run = fit.record(files, result).model_copy(update={"began_ms": began_ms})
         try:
             run = record(of_run, files)
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}

@@ -53,7 +53,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         motion, space = load_motion(place.motion)
         model = _model(motion, space, body or find_named_body(place.files / RESULT))
         film = _film(place, run, model, inputs=inputs, made=Path(made))
-        parts = _parts(place, film, Path(made))
+        parts = _parts(place, film, Path(made)).in_folder(folder)
         tags = run.tags if run else {}
         versions = {
             name: value for name, value in tags.items() if name.startswith(("version.", "platform", "processor"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -67,7 +68,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         raise InputError(f"{plan.motions} is no folder; give one with recordings, such as .bvh or AMASS .npz files")
     check_sources_out([plan.motions], out.parent)
     _check_room(out)
-    spec = plan.motion if plan.kind == "motion" else plan.pose
+    spec, began_ms = plan.motion if plan.kind == "motion" else plan.pose, time.time_ns() // 1_000_000
     with workspace(work_folder(out)) as folder, records_in(folder):
         lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.held_out, plan.seed, folder)
         for name, reason in lessons.refused.items():
@@ -77,7 +78,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         about = _about(plan, lessons, trained, measures, out.name)
         result = {**about, "out": str(out.resolve()), "mlflow_run_id": None, "mlflow_link": None}
         try:
-            run = record_training(_params(plan), lessons, trained, measures, about)
+            run = record_training(_params(plan), lessons, trained, measures, about, began_ms=began_ms)
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")

@@ -87,7 +87,9 @@ class BodyConfig(Record):
 class CameraConfig(Record):
     """The pinhole camera; a calibration in clip.toml has priority over the guess."""
 
-    focal_px: FocalPx | None = Field(None, description="focal length [px]; the picture's diagonal when not given")
+    focal_px: FocalPx | None = Field(
+        None, description="focal length [px], such as 1180; the picture's diagonal when not given"
+    )
     tilt_deg: TiltDeg | None = Field(
         None, description="for exports: degrees by which the camera looks down; wins over a calibration's pose"
     )
@@ -103,9 +105,9 @@ class ExposureConfig(Record):
     """The exposure's timing. Seconds scale the result's times; ratios matter to the fit of several frames."""
 
     seconds: ExposureSeconds | None = Field(
-        None, description="exposure time [s]; the whole frame interval when not given"
+        None, description="exposure time [s], such as 0.02 for 1/50 s; the whole frame interval when not given"
     )
-    fps: FramesPerS | None = Field(None, description="frames per second; 30 where nothing says otherwise")
+    fps: FramesPerS | None = Field(None, description="frames per second, such as 29.97; 30 where nothing says it")
     light: Literal["linear", "srgb"] = Field(
         "linear", description="the light in which blur is an average; real cameras average linear light"
     )
@@ -289,7 +291,9 @@ class FitConfig(Record):
         False, description="find the mattes again, the fit's own picture in sight, before every such stage"
     )
     height_m: HeightM | None = Field(
-        None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"
+        None,
+        description="how tall the person is, soles to crown [m], such as 1.78; no picture shows it, and every length "
+        "hangs on it",
     )
     keep_image_size: bool = Field(False, description="a change of shape keeps the size in the image; quaternions only")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")
@@ -365,7 +369,7 @@ class ExportConfig(Record):
 
     formats: Annotated[tuple[MotionFormat, ...], BeforeValidator(_words)] = Field(
         ("amass", "glb", "bvh", "csv", "trc"),
-        description="motion files, such as glb,bvh: amass, glb, bvh, csv, trc, c3d (needs hfb[c3d]), or none",
+        description="motion files, such as glb,bvh: amass, glb, bvh, csv, trc, c3d (with the extra c3d), or none",
     )
     amass_rate: AmassRate = Field(120, description="poses per second in amass.npz")
     csv_frame: CsvFrame = Field("camera", description="coordinates in joints.csv; the other files are in the world")

@@ -31,3 +31,13 @@ class InfrastructureError(Exception):
 
 class ServerLost(InfrastructureError):
     """The server that a run reports to no longer answers."""
+
+
+def install_advice(extra: str) -> str:
+    """Return how to install an extra of hfb, which is on no package index: from its checkout or its wheel's file.
+
+    Args:
+        extra: as pyproject.toml names it.
+    """
+    wheel = f"hfb-VERSION-py3-none-any.whl[{extra}]"
+    return f"run `pip install '.[{extra}]'` in hfb's checkout, or `pip install '{wheel}'` with the wheel's file"

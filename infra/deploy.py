@@ -37,6 +37,7 @@ from prefect.exceptions import ObjectNotFound
 from prefect.utilities.templating import apply_values, resolve_variables
 from prefect.workers.utilities import get_default_base_job_template_for_infrastructure_type
 
+from hfb.errors import install_advice
 from hfb.tasks.telemetry.secrets import secret_entry, without_secrets
 
 _FILE = Path(__file__).parent / "prefect.yaml"
@@ -113,7 +114,7 @@ def _container(kind: str) -> dict[str, Any]:
     _refuse_secrets("work pool", env)
     template: dict[str, Any] | None = anyio.run(get_default_base_job_template_for_infrastructure_type, kind)
     if template is None:
-        sys.exit(f"Prefect knows no work pool of type {kind}: install hfb[team]")
+        sys.exit(f"Prefect knows no work pool of type {kind}: {install_advice('team')}")
     job = template["job_configuration"]
     given: dict[str, Any] = {
         name: field["default"]

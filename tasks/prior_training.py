@@ -157,7 +157,13 @@ def measure(lessons: LessonsHandle, trained: TrainedHandle, seed: int, folder: P
 
 @task("record in MLflow", cached=False)
 def record_training(
-    params: dict[str, Any], lessons: LessonsHandle, trained: TrainedHandle, measures: FileHandle, about: dict[str, Any]
+    params: dict[str, Any],
+    lessons: LessonsHandle,
+    trained: TrainedHandle,
+    measures: FileHandle,
+    about: dict[str, Any],
+    *,
+    began_ms: int,
 ) -> RunHandle:
     """Record losses per epoch, measurements (those by exposure as steps, the shortest first), and the weights.
 
@@ -167,13 +173,14 @@ def record_training(
         trained: the weights.
         measures: a JSON file.
         about: description of the weights.
+        began_ms: when the training began, in milliseconds since 1970.
 
     Raises:
         tracking.StoreLost: the store cannot be reached.
     """
     key = digest([params, lessons.sha256, code_version()])
     tags = {"code": code_version(), "seed": str(params["seed"]), "kind": lessons.kind}
-    with tracking.record_run(f"train-prior-{lessons.kind}", key, params, tags) as run:
+    with tracking.record_run(f"train-prior-{lessons.kind}", key, params, tags, began_ms=began_ms) as run:
         if not run.complete:
             losses = {f"loss/{name}": values for name, values in json.loads(trained.history.path.read_text()).items()}
             tracking.log_histories(run, losses | _metrics(json.loads(measures.path.read_text())))

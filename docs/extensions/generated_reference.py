@@ -59,7 +59,7 @@ def _command_page(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
     groups = [group for group in parser._action_groups if not (group.title or "").startswith(_METHOD_OPTIONS)]
     own = [action for group in groups for action in group._group_actions if action.help != argparse.SUPPRESS]
     positional = [action for action in own if not action.option_strings]
-    named = [action for action in own if action.option_strings and "--help" not in action.option_strings]
+    named = [one for one in own if one.option_strings and not {"--help", "--help-all"} & {*one.option_strings}]
     takes = " ".join(_positional_name(action) for action in positional)
     yield from (f"## hfb {name}", "", f"{parser.description}.", "", "```text", f"hfb {name} [options] {takes}".rstrip())
     yield from ("```", "")

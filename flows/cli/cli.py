@@ -25,6 +25,7 @@ from hfb import __version__
 from hfb.errors import InfrastructureError, InputError, ServerLost
 from hfb.evaluation.experiment_files import experiment_file
 from hfb.flows.cli import app_cli, clips, judging, models_cli, repeating, results, training
+from hfb.flows.cli.help_pages import SHELLS, Parser, PrintCompletion
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.flows.runtime import summary
 from hfb.flows.runtime.prefect_home import check_home
@@ -36,6 +37,30 @@ if TYPE_CHECKING:
     from hfb.evaluation.experiments import Experiment
 
 _DONE, _FAILED, _UNUSABLE, _INTERRUPTED, _NOBODY_READS = 0, 1, 2, 130, 141
+
+_EXAMPLES = {
+    "fit": (
+        "hfb fit blurred.png --background empty.png --exposure.seconds 0.02",
+        "hfb fit blurred.png --background empty.png --clip clip.toml --fit.height-m 1.78 --out runs/jump",
+    ),
+    "demo": ("hfb demo --out runs/demo",),
+    "video": (
+        "hfb video jump.mp4 --background empty.png --exposure.seconds 0.02",
+        "hfb video jump.mp4 --background median --fit.height-m 1.78 --workers 4 --out runs/jump",
+    ),
+    "batch": (
+        "hfb batch clips --out results --watch 60",
+        "hfb batch clips --out results --attempts 2 --notify https://example.org/hook",
+    ),
+    "synth": ("hfb synth bt-amass --count 10 --out runs/cases", "hfb synth clip --mp4 --frames 12 --out runs/clip"),
+    "benchmark": (
+        "hfb benchmark bt-amass --count 20 --methods best,static",
+        "hfb benchmark real --videos recordings --count 10",
+    ),
+    "reproduce": ("hfb reproduce table1 --count 10",),
+    "export": ("hfb export runs/jump --formats glb,bvh", "hfb export runs/jump --films exact --out runs/films"),
+    "report": ("hfb report runs/jump",),
+}
 
 _told_to_end: list[int] = []  # the exit code of a signal that came
 _ENDS_WITHIN_S = 60.0
@@ -87,7 +112,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _parse(words: list[str]) -> argparse.Namespace:
     args, unknown = command_line().parse_known_args(words)
     if unknown:
-        flags = re.findall(r"--[a-z][\w.-]*", args.command.format_help())
+        flags = re.findall(r"--[a-z][\w.-]*", args.command.format_help_all())
         close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
         hint = f"did you mean {close[0]}?" if close else f"see `{args.command.prog} --help`"
         raise InputError(f"unrecognized argument {unknown[0]}; {hint}")
@@ -95,23 +120,13 @@ def _parse(words: list[str]) -> argparse.Namespace:
     return args
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are `InputError`."""
-
-    def error(self, message: str) -> NoReturn:
-        """Raise InputError.
-
-        Args:
-            message: of argparse.
-        """
-        raise InputError(f"{message}; see `{self.prog} --help`")
-
-
-def command_line() -> argparse.ArgumentParser:
+def command_line() -> Parser:
     """Return the parser of all commands."""
-    parser = _Parser("hfb", description="Human from Blur: how a person moved during one exposure.", allow_abbrev=False)
+    parser = Parser("hfb", description="Human from Blur: how a person moved during one exposure.")
     parser.add_argument("--version", action="version", version=f"hfb {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    what = f"print what makes a shell complete commands, options and files: {', '.join(SHELLS)}"
+    parser.add_argument("--print-completion", action=PrintCompletion, choices=SHELLS, metavar="SHELL", help=what)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
 
     fit = _command(commands, "fit", _fit, "blurred pictures of a static camera -> a moving body")
     fit.add_argument("frames", nargs="+", type=Path, metavar="FRAME", help="blurred picture; several are one problem")
@@ -149,7 +164,7 @@ def command_line() -> argparse.ArgumentParser:
     judging.add_method_flags(reproduce, of_set=False)
 
     what = "train a network or another part that hfb ships"
-    programs = commands.add_parser("train", help=what, description=what, allow_abbrev=False)
+    programs = commands.add_parser("train", help=what, description=what)
     programs.set_defaults(run=_train, command=programs)
     training.add_program_flags(programs)
 
@@ -180,8 +195,8 @@ def command_line() -> argparse.ArgumentParser:
 
 def _command(
     commands: Any, name: str, run: Any, what: str, *, seeded: bool = False, configured: bool = True, out: str = "DIR"
-) -> argparse.ArgumentParser:
-    command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
+) -> Parser:
+    command: Parser = commands.add_parser(name, help=what, description=what, examples=_EXAMPLES.get(name, ()))
     command.set_defaults(run=run, began=time.perf_counter(), command=command)
     command.add_argument("--out", type=Path, metavar=out, help="where results go [a folder in runs]")
     if configured:

@@ -11,7 +11,8 @@ import json
 import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -26,6 +27,7 @@ CONFIG_PREFIX = "config:"
 """Of the parsed options that are keys of the configuration."""
 
 _DEFAULT_PRESET = RunConfig().preset
+_UNITS = {"_px": "PX", "_m": "M", "_deg": "DEG", "_s": "S", "seconds": "S", "fps": "FPS"}
 _NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": OWN_NETWORKS}
 
 
@@ -47,7 +49,7 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
             flag,
             dest=CONFIG_PREFIX + name,
             default=argparse.SUPPRESS,
-            metavar=_placeholder(field),
+            metavar=_placeholder(name, field),
             help=described if default is None else f"{described} [{_shown(default)}]".strip(),
         )
         if "_" in name:  # as the file writes it
@@ -83,7 +85,7 @@ def _add_short_flags(group: argparse._ArgumentGroup) -> None:
     short: tuple[tuple[str, str, str], ...] = (
         ("init", "FILE|auto|mediapipe|matte|metro|keypoints", "another system's result, or how to find a first body"),
         ("init-weights", "FILE", "as --init.weights"),
-        ("matting", "network|known-background|bgmv2|rvm", "as --matting.method"),
+        ("matting", "network|known-background|bgmv2|rvm", "how the person is cut out of the picture [network]"),
         ("matting-weights", "FILE", "as --matting.weights"),
     )
     for name, metavar, described in short:
@@ -150,17 +152,22 @@ def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo,
             yield prefix + name, field, value
 
 
-def _placeholder(field: FieldInfo) -> str:
-    if get_origin(field.annotation) is Literal:
-        return "|".join(map(str, get_args(field.annotation)))
-    kinds = {int: "N", float: "X", Path: "FILE", str: "NAME"}
-    parts = get_args(field.annotation)
-    if type(None) in parts and get_origin(parts[0]) is Literal:
-        return "|".join(map(str, get_args(parts[0])))
-    if any(get_origin(one) is Literal for one in get_args(field.annotation)):
-        return "NAME,..."
-    named = {field.annotation, *get_args(field.annotation)}
-    return next((word for kind, word in kinds.items() if kind in named), "JSON")
+def _placeholder(name: str, field: FieldInfo) -> str:
+    """Return what stands for a flag's value: its words, its unit, or its kind."""
+    kind = _bare(field.annotation)
+    if get_origin(kind) is tuple:
+        return "NAME,..." if get_origin(_bare(get_args(kind)[0])) is Literal else "JSON"
+    if get_origin(kind) is Literal:
+        return "|".join(map(str, get_args(kind)))
+    unit = next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), None)
+    return unit or {int: "N", float: "X", bool: "true|false", Path: "FILE", str: "NAME"}[kind]
+
+
+def _bare(annotation: Any) -> Any:
+    """Return a type without its bounds and without None."""
+    if get_origin(annotation) in (Annotated, Union, UnionType):
+        return _bare(get_args(annotation)[0])
+    return annotation
 
 
 def _shown(default: Any) -> str:
@@ -168,7 +175,7 @@ def _shown(default: Any) -> str:
         if all(isinstance(one, str) for one in default):
             return ",".join(default) or "none"
         return json.dumps([one.model_dump(exclude_defaults=True) for one in default]).replace("%", "%%")
-    return str(default)
+    return str(default).lower() if isinstance(default, bool) else str(default)
 
 
 def _nest(flags: Mapping[str, str]) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
     for name in _PLACE:
         described = CameraConfig.model_fields[name].description
         flag = name.replace("_", "-")
-        add(f"--{flag}", f"--camera.{flag}", dest=name, metavar="AXIS" if name == "world_up" else "X", help=described)
+        add(f"--{flag}", f"--camera.{flag}", dest=name, metavar="AXIS" if name == "world_up" else "DEG", help=described)
     add("--films", metavar="NAME,...", help=f"of {', '.join(_FILMS)}: drawn again from the result and its pictures")
     add("--inputs", type=Path, metavar="DIR", help="where the pictures lie, for films, if they were moved")
     add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")

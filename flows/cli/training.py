@@ -60,7 +60,9 @@ def add_program_flags(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     listed = {name: entry.summary for name, entry in PROGRAMS.items()} | PRIORS
     parser.epilog = "\n".join(["programs:", *(f"  {name:<16} {summary}" for name, summary in listed.items())])
-    parser.add_argument("name", choices=listed, metavar="NAME", help="one of the programs below; NAME --help has more")
+    parser.add_argument(
+        "name", choices=tuple(listed), metavar="NAME", help="one of the programs below; NAME --help has more"
+    )
     parser.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTION", help="options of the program")
 
 
@@ -72,7 +74,7 @@ def run_program(args: argparse.Namespace) -> None:
     """
     program = PROGRAMS[args.name].load()
     summary = PROGRAMS[args.name].summary
-    parser = type(args.command)(f"hfb train {args.name}", description=summary, allow_abbrev=False)
+    parser = type(args.command)(f"hfb train {args.name}", description=summary)
     program.add_flags(parser)
     program.run(parser.parse_args(args.options))
 

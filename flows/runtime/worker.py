@@ -100,7 +100,7 @@ def _fixed(configuration: type[Any]) -> type[Any]:
     return Fixed
 
 
-with suppress(ImportError):  # hfb[team] has it
+with suppress(ImportError):  # the extra `team` has it
     from prefect_docker.worker import DockerWorker
 
     class HfbDockerWorker(DockerWorker):

@@ -1,10 +1,12 @@
 """Options of a call in Python: the command line's names as keyword arguments, checked by the same records."""
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
+from hfb.api.given_images import path_of
 from hfb.config import InitConfig, MattingConfig, PriorConfig, RunConfig
 from hfb.errors import InputError
 from hfb.io.run_options import check_options, complete_options
@@ -36,8 +38,31 @@ def config_of(options: Mapping[str, object], file: str | Path | None = None, *, 
     sections = (*_OF_FRAMES, "video") if clip else _OF_FRAMES
     for name, value in options.items():
         given = merged(given, _nested(_full_name(name, sections), value))
-    from_file = check_options(read_toml(Path(file)), str(file)) if file is not None else {}
+    from_file = check_options(read_toml(path_of(file)), str(file)) if file is not None else {}
     return complete_options(check_options(given, "options"), from_file)
+
+
+def name_parameters(sentence: str) -> str:
+    """Return a sentence for the command line with the name in Python behind every option: ``--init (init=...) FILE``.
+
+    Args:
+        sentence: of a result's warning or remark.
+    """
+
+    def named(flag: re.Match[str]) -> str:
+        name = flag[1].replace("-", "_")
+        section, _, entry = name.partition(".")
+        if not entry and section in ("background", *_METHODS):
+            return f"{flag[0]} ({section}=...)"
+        try:
+            known = _full_name(entry or section, _OF_FRAMES) == name
+        except InputError:
+            known = False
+        if known:
+            return f"{flag[0]} ({entry}=...)"
+        return f"{flag[0]} ({section}={{{entry!r}: ...}})" if section in _OF_FRAMES and entry else flag[0]
+
+    return re.sub(r"--([a-z][a-z0-9-]*(?:\.[a-z][a-z0-9-]*)*)", named, sentence)
 
 
 def _nested(name: str, value: object) -> dict[str, Any]:

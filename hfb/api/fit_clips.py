@@ -5,7 +5,7 @@ from os import PathLike
 from pathlib import Path
 
 from hfb.api.call_options import config_of
-from hfb.api.given_images import Image, image_file, image_files
+from hfb.api.given_images import Image, image_file, image_files, is_one_image, path_of
 from hfb.api.private_call import Progress, in_memory, private_call
 from hfb.api.result import Result, result_of
 from hfb.errors import InputError
@@ -48,13 +48,13 @@ def fit_clip(
     with private_call(on_progress, keep=True) as folder:
         chosen = config_of(options, config, clip=True)
         if isinstance(video, str | PathLike):
-            source: Path | tuple[Path, ...] = Path(video)
+            source: Path | tuple[Path, ...] = path_of(video)
+        elif is_one_image(video):
+            raise InputError("one image is no clip: give its frames in a list in their order, or the image to hfb.fit")
         else:
             source = tuple(image_files(video, folder))
-            if len(source) < 2:
-                raise InputError("one image is no clip: give its frames in their order, or the image to hfb.fit")
         plate = None if background is None else str(image_file(background, "background", folder))
-        inputs = take_video_inputs(source, chosen, Path(clip) if clip is not None else None, plate)
+        inputs = take_video_inputs(source, chosen, path_of(clip) if clip is not None else None, plate)
         if inputs.clip.person.which == "everyone":
             raise InputError("clip.toml means everyone, and hfb.fit_clip follows one person: say there which")
         lacks = in_memory(inputs, folder)

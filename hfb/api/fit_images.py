@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hfb.api.call_options import config_of
-from hfb.api.given_images import Image, image_file, image_files
+from hfb.api.given_images import Image, image_file, image_files, path_of
 from hfb.api.own_parts import TermFunction, own_parts
 from hfb.api.private_call import Progress, in_memory, options_of, private_call
 from hfb.api.result import Result, result_of
@@ -137,5 +137,5 @@ def _take(
     """Return inputs and options, and what of the inputs is no file."""
     chosen = config_of(options, config)
     paths, plate = image_files(frames, folder), image_file(background, "background", folder)
-    inputs = take_inputs(paths, plate, chosen, Path(clip) if clip is not None else None)
+    inputs = take_inputs(paths, plate, chosen, path_of(clip) if clip is not None else None)
     return inputs, with_height(chosen, inputs.clip), in_memory(inputs, folder)

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias, cast
@@ -23,7 +23,7 @@ Image: TypeAlias = str | os.PathLike[str] | Pillow.Image | Array | Tensor
 _KEPT_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I;16")
 
 
-def image_files(frames: Image | Sequence[Image], folder: Path) -> list[Path]:
+def image_files(frames: object, folder: Path) -> list[Path]:
     """Return the files of frames.
 
     Args:
@@ -33,11 +33,32 @@ def image_files(frames: Image | Sequence[Image], folder: Path) -> list[Path]:
     Raises:
         InputError: an image is of another type, shape or range.
     """
-    alone = isinstance(frames, str | os.PathLike | Pillow.Image) or getattr(frames, "ndim", 0) == 3
-    several: list[object] = [frames] if alone else list(cast(Sequence[Image], frames))
+    if not is_one_image(frames) and not isinstance(frames, Iterable):
+        what = type(frames).__name__
+        raise InputError(f"frames is a {what}: give a path, a PIL image or an array, or several in a list")
+    several: list[object] = [frames] if is_one_image(frames) else list(cast(Iterable[object], frames))
     if not several:
         raise InputError("there are no frames: give at least one")
     return [image_file(one, f"frame_{n}", folder) for n, one in enumerate(several)]
+
+
+def is_one_image(frames: object) -> bool:
+    """Return whether something is an image itself and no sequence of images.
+
+    Args:
+        frames: as a caller gave them.
+    """
+    return isinstance(frames, str | os.PathLike | Pillow.Image) or getattr(frames, "ndim", 0) == 3
+
+
+def path_of(place: str | os.PathLike[str]) -> Path:
+    """Return the path of a file or folder; ``~`` is the user's home, as in a shell.
+
+    Args:
+        place: as a caller gave it.
+    """
+    path = Path(place)
+    return Path.home().joinpath(*path.parts[1:]) if path.parts[:1] == ("~",) else path
 
 
 def image_file(image: object, name: str, folder: Path) -> Path:
@@ -52,7 +73,7 @@ def image_file(image: object, name: str, folder: Path) -> Path:
         InputError: it is of another type, shape or range.
     """
     if isinstance(image, str | os.PathLike):
-        return Path(image)
+        return path_of(image)
     path = folder / f"{name}.png"
     if isinstance(image, Pillow.Image):
         upright = ImageOps.exif_transpose(image)

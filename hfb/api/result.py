@@ -14,7 +14,8 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from hfb.api.given_images import errors_of_calls
+from hfb.api.call_options import name_parameters
+from hfb.api.given_images import errors_of_calls, path_of
 from hfb.body.assets import load_body as load_any_body
 from hfb.body.model import BetasSpace, Body
 from hfb.config import CsvFrame, MotionFormat
@@ -137,7 +138,7 @@ class Result:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Signs that the result is wrong, one sentence each."""
-        return tuple(one["message"] for one in self.facts.get("warnings") or ())
+        return tuple(name_parameters(one["message"]) for one in self.facts.get("warnings") or ())
 
     @property
     def gaps(self) -> tuple[tuple[int, int], ...]:
@@ -177,11 +178,11 @@ class Result:
         Raises:
             InputError: the folder cannot be written, or files that hfb did not write are in the way.
         """
-        out = Path(folder)
+        out = path_of(folder)
         facts = {**self.facts, "out": str(out.resolve()), "strip": str(out.resolve() / "strip.png"), "report": None}
         with errors_of_calls():
             check_no_clip(out)
-            with workspace(out), tempfile.TemporaryDirectory() as private:
+            with workspace(out, keep=False), tempfile.TemporaryDirectory() as private:
                 files, record = dict(self._files), self._record(facts)
                 if record is not None:
                     files[RECORD] = keep_for_later(record, Path(private)).path
@@ -213,7 +214,7 @@ class Result:
                 shot = self._fit.shot
                 film = FileHandle.of(write_page_film(shot.load(), shot.motion.sha256, Path(private)))
             known = {name: FileHandle.of(path) for name, path in self._files.items() if name in _FILES}
-            parts = ReportParts.among(known, film)
+            parts = ReportParts.among(known, film).in_folder(target)
             name = target.resolve().name
             write_page(parts, self.body, hidden_in(self.facts), environment(), path=made / REPORT, name=name)
         return target / REPORT
@@ -245,7 +246,7 @@ class Result:
             for form in known:
                 write_motion_file(made, form, exported)
         if (world := describe_world(self.motion)).doubtful:
-            _log.warning(world.says)
+            _log.warning(name_parameters(world.says))
         return [target / FILE_NAMES[form] for form in known]
 
     def show(self) -> Viewer:
@@ -259,7 +260,7 @@ class Result:
 
     def _beside(self, folder: str | Path | None, name: str) -> Path:
         """Return where further files go."""
-        target = Path(folder) if folder is not None else (self._folder or Path.cwd()) / name
+        target = path_of(folder) if folder is not None else (self._folder or Path.cwd()) / name
         with errors_of_calls():
             check_writable(target)
         return target
@@ -281,7 +282,7 @@ def load_result(folder: str | Path) -> Result:
     Raises:
         InputError: there is no finished result, or a file of it is damaged.
     """
-    place = Path(folder)
+    place = path_of(folder)
     if not place.is_dir():
         raise InputError(f"there is no folder {place}: give that of a result")
     check_result(place, _FILES)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from hfb.api.given_images import path_of
 from hfb.api.result import Result
 from hfb.body.assets import load_body as load_any_body
 from hfb.body.model import Body
@@ -28,7 +29,7 @@ def load_body(model: str | Path | None = None) -> Body:
     Raises:
         InputError: the file is missing, damaged, or not SMPL.
     """
-    return load_any_body(Path(model) if model is not None else None)
+    return load_any_body(path_of(model) if model is not None else None)
 
 
 def render(
@@ -91,7 +92,7 @@ def evaluate(result: Result, truth: Result | str | Path | Array) -> dict[str, fl
     if isinstance(truth, np.ndarray):
         joints = truth
     else:
-        motion = truth.motion if isinstance(truth, Result) else load_motion(Path(truth))[0]
+        motion = truth.motion if isinstance(truth, Result) else load_motion(path_of(truth))[0]
         nearest = np.abs(motion.times_s[None] - result.times_s[:, None]).argmin(1)
         joints = motion.joints[nearest]
     if joints.shape != result.joints.shape or not np.isfinite(joints).all():

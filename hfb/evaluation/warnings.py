@@ -16,6 +16,7 @@ from hfb.fitting.front_choice import ANOTHER_FRONT_DEG
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.plate import constant_changes
 from hfb.matting.matting_protocol import shrink
+from hfb.motion.limits import fastest_ends, fastest_hinges, fastest_turns
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import srgb_to_linear
 from hfb.typing import Array, Bool, Float
@@ -24,6 +25,14 @@ LEAST_MATTE_IOU = 0.7
 _SPIN_DEG, _SPIN_DEG_PER_S = 75.0, 600.0
 """Largest turn of the trunk between the middles of neighbouring frames. A pirouette has 700 degrees/s: 23 per frame at
 30 fps."""
+_TURN_M_S, _TURN_WITHIN_S = 1.2, 1 / 15
+"""Slowest speed from which, and longest exposure within which, no limb turns around and is as fast again the other way.
+Of windows of 1/15 s of recorded motions 0.1 % do (docs/experiments)."""
+_END_M_S = 25.0
+"""Feet reach about 22 m/s in instep kicks (Kellis and Katis, J. Sports Sci. Med. 6:154, 2007), CMU's recordings 12."""
+_HINGE_DEG_PER_S = 2500.0
+"""Elbows reach about 2,400 degrees/s in professional pitches (Fleisig et al., J. Biomech. 32:1371, 1999), CMU's
+recordings 1,350."""
 _MOST_LEFT_OVER = 0.08
 """Largest share of the matte's area in one piece that the fitted body does not touch."""
 _LIGHT_PX = 48
@@ -86,6 +95,7 @@ def find_warnings(
     found = (
         check_matte_iou(matte_iou),
         check_spin(motion),
+        *check_limits(motion),
         check_left_over(looks),
         check_light(looks, plate_srgb),
         check_static(looks, plate_srgb),
@@ -139,6 +149,30 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
         f"{_frames(where)}: front and back were probably mistaken; give a better start (`hfb models fetch`, or another "
         "system's result with --init FILE), or leave the frames out",
     )
+
+
+def check_limits(motion: SampledMotion) -> list[ResultWarning]:
+    """Check that no limb moves as no person can; see `hfb.motion.limits`.
+
+    Args:
+        motion: motion of the result, camera coordinates.
+    """
+    shown = "look at the motion in 3D, and do not quote its speeds; a better start (--init FILE), a known height "
+    shown += "(--fit.height-m) or a second frame may mend it"
+    turns, ends, hinges = fastest_turns(motion, _TURN_WITHIN_S), fastest_ends(motion), fastest_hinges(motion)
+    said = (
+        ("limb_turn", turns, _TURN_M_S, "stops and turns around within one exposure, at {:.1f} m/s before and after"),
+        ("limb_speed", ends, _END_M_S, "moves at {:.0f} m/s, faster than the fastest kicks and throws"),
+        ("joint_speed", hinges, _HINGE_DEG_PER_S, "bends at {:.0f} degrees/s, faster than a professional pitcher's"),
+    )
+    found = []
+    for code, figures, most, words in said:
+        high = {frame: value for frame, value in figures.items() if value[0] > most}
+        if high:
+            worst, name = max(high.values())
+            message = f"the motion is implausible in {_frames(list(high))}: the {name} {words.format(worst)}; {shown}"
+            found.append(_warning(code, worst, high, message))
+    return found
 
 
 def check_front(probability: Mapping[int, float], turn_deg: Mapping[int, float]) -> ResultWarning | None:

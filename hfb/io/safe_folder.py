@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 from hfb.errors import InputError, TemporaryError
 
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+_FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
 _DEEPEST = 32  # levels; hfb itself makes four
 _KINDS = {
     stat.S_IFLNK: "symbolic link",
@@ -127,7 +127,10 @@ def open_folder(root: Path, *parts: str, make: bool = False) -> Iterator[int]:
     Raises:
         NotOrdinary: a component below ``root`` is a link or no folder.
         OSError: ``root`` or a component is missing, or may not be opened.
+        InputError: this system opens no folders, and files relative to them.
     """
+    if os.open not in os.supports_dir_fd:
+        raise InputError("hfb writes results on Linux and macOS only: on Windows run it in WSL (wsl --install)")
     place, descriptor = root, os.open(root, _FOLDER)
     try:
         for part in parts:

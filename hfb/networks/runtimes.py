@@ -16,7 +16,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from hfb.errors import InputError
+from hfb.errors import InputError, install_advice
 from hfb.kernels.determinism import one_torch_thread
 from hfb.networks.network_files import MOST_CODE_BYTES, check_torchscript, is_onnx
 from hfb.typing import Array, Float
@@ -169,9 +169,7 @@ class OnnxNetwork:
         try:
             import onnxruntime
         except ImportError:
-            raise InputError(
-                f"{path}: ONNX networks need onnxruntime; install it with pip install 'hfb[onnx]'"
-            ) from None
+            raise InputError(f"{path}: ONNX networks need onnxruntime: {install_advice('onnx')}") from None
         self._path = path
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1

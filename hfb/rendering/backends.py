@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from typing import Literal
 
-from hfb.errors import InputError
+from hfb.errors import InputError, install_advice
 from hfb.rendering.rasterizer import Rasterizer
 
 
@@ -39,7 +39,7 @@ def _make_warp_rasterizer(silhouette: str, device: str) -> Rasterizer:
     if silhouette != "coverage":
         raise InputError(f"the Warp kernels draw exact coverage only: take --fit.rasterizer cpu for {silhouette!r}")
     if find_spec("warp") is None:
-        raise InputError("the Warp kernels need warp-lang: pip install 'hfb[cuda]', or take --fit.rasterizer cpu")
+        raise InputError(f"the Warp kernels need warp-lang: {install_advice('cuda')}; or take --fit.rasterizer cpu")
     from hfb.rendering.warp import WarpRasterizer
 
     return WarpRasterizer(device)

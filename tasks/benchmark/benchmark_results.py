@@ -115,7 +115,13 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
 
 @task("record in MLflow", cached=False)
 def record_benchmark(
-    *, name: str, params: dict[str, Any], methods: dict[str, Any], results: ResultsHandle, files: tuple[Path, ...]
+    *,
+    name: str,
+    params: dict[str, Any],
+    methods: dict[str, Any],
+    results: ResultsHandle,
+    files: tuple[Path, ...],
+    began_ms: int,
 ) -> RunHandle:
     """Record a parent run for the set and a child per method; metrics of blur intervals are steps, in their order.
 
@@ -125,6 +131,7 @@ def record_benchmark(
         methods: options of every method.
         results: tables and plots.
         files: of the benchmark.
+        began_ms: when the benchmark began, in milliseconds since 1970.
 
     Raises:
         tracking.StoreLost: the store cannot be reached.
@@ -132,7 +139,7 @@ def record_benchmark(
     summary = results.content()
     key = digest([params, methods, code_version()])
     tags = {"code": code_version(), "seed": str(summary["seed"])}
-    with tracking.record_run(name, key, params, tags) as parent:
+    with tracking.record_run(name, key, params, tags, began_ms=began_ms) as parent:
         if not parent.complete:
             counts = {"count": [summary["count"]], "skipped": [summary["skipped"]]}
             tracking.log_histories(parent, counts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import platform
+import re
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,6 +14,7 @@ import hfb
 
 _CPUINFO = Path("/proc/cpuinfo")
 _LIBRARIES = ("torch", "numpy", "numba", "scipy", "opencv-python-headless", "av", "ai-edge-litert", "prefect", "mlflow")
+_COMMIT = re.compile(r"[0-9a-f]{40,64}")
 _COMPUTING = ("numpy", "numba", "torch")
 
 
@@ -29,6 +31,26 @@ def code_version() -> str:
                 content.update(hashlib.sha256(path.read_bytes()).digest())
     libraries = ",".join(f"{name}={version(name)}" for name in _COMPUTING)
     return f"{hfb.__version__}+{content.hexdigest()[:16]};{libraries}"
+
+
+@functools.cache
+def source_commit() -> str | None:
+    """Return the commit of the checkout that hfb runs from; None of a wheel. Git's files are read, nothing is run."""
+    place = Path(hfb.__file__).parents[1] / ".git"
+    with suppress(OSError):
+        if place.is_file():  # of a worktree
+            place = place.parent / place.read_text().removeprefix("gitdir:").strip()
+        common = place / "commondir"
+        shared = place / common.read_text().strip() if common.is_file() else place
+        head = (place / "HEAD").read_text().strip()
+        name = head.removeprefix("ref:").strip()
+        packed = shared / "packed-refs"
+        lines = packed.read_text().splitlines() if packed.is_file() else []
+        known = {ref: commit for commit, _, ref in (line.partition(" ") for line in lines)}
+        loose = shared / name
+        found = head if name == head else loose.read_text().strip() if loose.is_file() else known.get(name, "")
+        return found if _COMMIT.fullmatch(found) else None
+    return None
 
 
 def environment() -> dict[str, str]:

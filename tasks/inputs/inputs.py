@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from hfb.config import OWN_NETWORKS, ExposureConfig, InitConfig, Record, RunConfig
@@ -14,6 +15,7 @@ from hfb.tasks.core.handles import FileHandle, ReadoutRecord, files_in
 from hfb.tasks.inputs.given_networks import init_files, matting_file
 from hfb.tasks.inputs.out_place import check_pictures_out
 
+_log = logging.getLogger(__name__)
 _OF_VIDEOS = ("video", "scan", "start", "stop", "start_s", "stop_s", "background", "person")
 """Entries of clip.toml without effect on single images, whose plate is given."""
 
@@ -179,7 +181,7 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
     if clip.camera.calibration is None:
         return clip
     from hfb.io.media.images.image_io import picture_size
-    from hfb.io.media.lens.camera_pose import calibrated_pose
+    from hfb.io.media.lens.camera_pose import calibrated_pose, pose_remarks
     from hfb.io.media.lens.clip_lens import clip_lens
 
     height, width, _ = picture_size(picture)
@@ -190,6 +192,8 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
             "which undistorts by itself"
         )
     rotation, translation = calibrated_pose(clip.camera, picture.name) or (None, None)
+    for remark in pose_remarks(clip.camera, picture.name):
+        _log.warning(remark)
     numbers = {"K": lens.pinhole() if lens else None, "rotation": rotation, "translation": translation}
     camera = clip.camera.model_copy(update={"calibration": None, "name": None, **numbers})
     return clip.model_copy(update={"camera": camera})

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from hfb.config import Record
 from hfb.errors import InputError
-from hfb.interop.writers.export_names import CURVES, PAGE_FILM, REPORT
+from hfb.interop.writers.export_names import CURVES, LINKED_FILES, PAGE_FILM, REPORT, RESULT
+from hfb.io.safe_folder import is_regular
 from hfb.tasks.core.environment import environment
 from hfb.tasks.core.handles import FileHandle, FitHandle
 from hfb.tasks.core.video_handles import WindowHandle
@@ -33,7 +34,11 @@ PAGE_FILES = {"texture": "texture.png", "strip": "strip.png", "alternatives": "a
 
 
 class ReportParts(Record):
-    """The files that a result's page consists of."""
+    """The files that a result's page consists of.
+
+    Attributes:
+        beside: names of files that the page links to.
+    """
 
     motion: FileHandle
     curves: FileHandle
@@ -42,6 +47,7 @@ class ReportParts(Record):
     strip: FileHandle | None = None
     alternatives: FileHandle | None = None
     film: FileHandle | None = None
+    beside: tuple[str, ...] = ()
 
     @classmethod
     def among(
@@ -55,7 +61,16 @@ class ReportParts(Record):
             body: the user's body model.
         """
         others = {part: files.get(name) for part, name in PAGE_FILES.items()}
-        return cls(motion=files["motion.npz"], curves=files[CURVES], film=film, body=body, **others)
+        beside = tuple(name for name in LINKED_FILES if name in (*files, RESULT))
+        return cls(motion=files["motion.npz"], curves=files[CURVES], film=film, body=body, beside=beside, **others)
+
+    def in_folder(self, folder: Path) -> ReportParts:
+        """Return the parts of a page in some folder, which links to those of the result's files that lie there.
+
+        Args:
+            folder: of the page.
+        """
+        return self.model_copy(update={"beside": tuple(name for name in LINKED_FILES if is_regular(folder / name))})
 
 
 @task("curves")
@@ -215,6 +230,7 @@ def page_text(
         film_caption=f"What was seen, and the body at one instant after another, {pace}.",
         environment=versions,
         repeat=_repeat(facts),
+        beside=parts.beside,
     )
     return result_page(contents)
 

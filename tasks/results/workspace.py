@@ -42,7 +42,7 @@ class OutputConflict(InputError):
 
 
 @contextmanager
-def workspace(out: Path) -> Iterator[Path]:
+def workspace(out: Path, keep: bool = True) -> Iterator[Path]:
     """Provide the folder of intermediate files inside the block, locked for this process.
 
     It stays after a crash, so that the next run continues from there; after an InputError new folders are removed
@@ -50,6 +50,7 @@ def workspace(out: Path) -> Iterator[Path]:
 
     Args:
         out: where the results go.
+        keep: whether what was computed stays after an OutputConflict, for the next run.
 
     Raises:
         InputError: the folder cannot be written, another process works in it, or it holds a link or a special file
@@ -68,9 +69,9 @@ def workspace(out: Path) -> Iterator[Path]:
             _check_names(out)
             _remove_leftovers(out, folder)
             yield folder
-    except OutputConflict:
-        raise
-    except InputError:
+    except InputError as error:
+        if keep and isinstance(error, OutputConflict):
+            raise
         if folder in new_folders:
             shutil.rmtree(folder, ignore_errors=True)
         for created in new_folders:

@@ -14,7 +14,7 @@ from hfb.tasks.core.handles import FileHandle, FitHandle, ScoresHandle, digest
 from hfb.tasks.inputs.inputs import Inputs, input_hashes
 from hfb.tasks.task import task
 from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
-from hfb.tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, write_run
+from hfb.tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, describe_run, write_run
 
 _ARTIFACTS = ("strip.png", "motion.npz", "texture.png", "alternatives.npz", CURVES, *EXPORTED_NAMES)
 _MATTE = "matte_"
@@ -81,5 +81,6 @@ def fit_record(
         tags={"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "fit"},
         points=points,
         files=files,
+        description=describe_run("fit", config, result),
         contents={RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")},
     )

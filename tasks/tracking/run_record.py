@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from hfb.config import Record
+from pydantic import Field
+
+from hfb.config import Record, RunConfig
 from hfb.errors import InputError
 from hfb.interop.writers.export_names import RECORD, RESULT
 from hfb.io.atomic import write_bytes_atomic
@@ -20,10 +23,21 @@ from hfb.tasks.telemetry.secrets import hidden_in
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.recipe import RECIPE
 
+_DESCRIBED = (
+    ("frames", "frames", "d"),
+    ("matte_iou", "IoU with the matte", ".3f"),
+    ("psnr_db", "PSNR of the re-blurred images [dB]", ".1f"),
+    ("mpjpe_mm", "MPJPE [mm]", ".1f"),
+)
 _LIMIT_BYTES = 64 << 20
 _CONTENTS = (RESULT, "config.json", RECIPE)
 _FILE = re.compile(r"[\w-][\w.-]*")
-_TAGS = re.compile(r"hfb\.\w+|version\.[\w.-]+|code|seed|preset|platform|processor|device|mlflow\.parentRunId")
+_TAGS = re.compile(
+    r"hfb\.\w+|version\.[\w.-]+|code|seed|preset|platform|processor|device|mlflow\.parentRunId|mlflow\.source\.[a-z.]+"
+)
+
+
+_Milliseconds = Annotated[int, Field(ge=0, le=1 << 52)]
 
 
 class RunHandle(Record):
@@ -48,6 +62,9 @@ class RunRecord(Record):
         points: values by metric and step.
         files: published files by name.
         contents: artifacts of plain values by name.
+        description: what MLflow shows at the top of the run's page.
+        began_ms: when the work began, in milliseconds since 1970; None where that is not known.
+        ended_ms: when it ended, of a record that was kept for later.
     """
 
     format: Literal[1] = 1
@@ -58,6 +75,14 @@ class RunRecord(Record):
     points: dict[str, dict[int, float]]
     files: dict[str, RecordedFile]
     contents: dict[str, dict[str, Any]]
+    description: str = ""
+    began_ms: _Milliseconds | None = None
+    ended_ms: _Milliseconds | None = None
+
+    def inputs(self) -> dict[str, str]:
+        """Return the sha256 of the inputs by their role; a record from a folder may lack them."""
+        told = self.params.get("input")
+        return {role: one for role, one in told.items() if isinstance(one, str)} if isinstance(told, dict) else {}
 
 
 def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
@@ -70,8 +95,14 @@ def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
     Raises:
         tracking.StoreLost: the store cannot be reached or written.
     """
-    with tracking.record_run(record.name, record.key, record.params, record.tags) as run:
+    began_ms, ended_ms = record.began_ms, record.ended_ms
+    opened = tracking.record_run(
+        record.name, record.key, record.params, record.tags, began_ms=began_ms, ended_ms=ended_ms
+    )
+    with opened as run:
         if not run.complete:
+            tracking.log_inputs(run, record.inputs())
+            tracking.describe(run, record.description)
             tracking.log_points(run, record.points)
             for name, file in record.files.items():
                 tracking.log_files(run, [paths[name]], file.folder)
@@ -89,7 +120,7 @@ def keep_for_later(record: RunRecord, folder: Path) -> FileHandle:
     """
     key, tags = tracking.add_record_context(record.key, record.tags)
     path = folder / RECORD
-    kept = record.model_copy(update={"key": key, "tags": tags})
+    kept = record.model_copy(update={"key": key, "tags": tags, "ended_ms": time.time_ns() // 1_000_000})
     write_bytes_atomic(path, json.dumps(hidden_in(kept.model_dump())).encode() + b"\n")
     return FileHandle.of(path)
 
@@ -138,3 +169,21 @@ def copy_recorded_files(record: RunRecord, result: Path, private: Path) -> dict[
         if name not in paths or sha256_of(paths[name]) != file.sha256:
             raise InputError(f"{result / name} is not as the result's command left it: run that command again")
     return paths
+
+
+def describe_run(command: str, config: RunConfig, result: Mapping[str, Any]) -> str:
+    """Return the description of a run: what was made, how well it explains the images, and what is doubtful.
+
+    Args:
+        command: such as ``fit``.
+        config: all options.
+        result: content of result.json.
+    """
+    figures = [
+        f"{label} {format(result[name], form)}"
+        for name, label, form in _DESCRIBED
+        if isinstance(result.get(name), int | float)
+    ]
+    warnings = [f"- Warning: {one['message']}." for one in result["warnings"]]
+    first = f"`hfb {command}` with the preset {config.preset} and the seed {config.seed}: {', '.join(figures)}."
+    return "\n".join([first, *([""] if warnings else []), *warnings])

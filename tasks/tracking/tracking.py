@@ -19,11 +19,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hfb.tasks.core import repetition
-from hfb.tasks.core.environment import environment
+from hfb.tasks.core.environment import environment, source_commit
 from hfb.tasks.core.handles import digest
 from hfb.tasks.telemetry.secrets import hidden_in, shown_address, without_secrets
 from hfb.tasks.tracking.ownership import is_abandoned, owner
 from hfb.tasks.tracking.patience import within
+from hfb.tasks.tracking.recipe import COMMAND_TAG
 from hfb.tasks.tracking.store_client import StoreLost as StoreLost
 from hfb.tasks.tracking.store_client import client, client_of, patience, store_losses, usable_store
 from hfb.tasks.tracking.store_place import LOCAL_PAGES, on_server, sqlite_file, tracking_uri
@@ -41,6 +42,7 @@ _METRICS_PER_BATCH = 1000
 _PARAMS_PER_BATCH = 100
 _VALUE_LENGTH = 6000
 _MONITOR_ENDS_S = 5.0
+_DIGEST_LENGTH = 36  # of MLflow's column
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,14 @@ class Run:
 
 @contextmanager
 def record_run(
-    name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str], *, parent: Run | None = None
+    name: str,
+    key: str,
+    params: Mapping[str, Any],
+    tags: Mapping[str, str],
+    *,
+    parent: Run | None = None,
+    began_ms: int | None = None,
+    ended_ms: int | None = None,
 ) -> Iterator[Run]:
     """Find or create the run of a problem; FINISHED, FAILED or KILLED when the block ends.
 
@@ -68,6 +77,8 @@ def record_run(
         params: inputs and options.
         tags: besides versions and machine.
         parent: the run under which this one is shown.
+        began_ms: when the work began, in milliseconds since 1970; None for now.
+        ended_ms: when it ended; None for the end of the block.
 
     Raises:
         StoreLost: the store cannot be reached or written.
@@ -76,7 +87,7 @@ def record_run(
         tags = {**tags, "mlflow.parentRunId": parent.run_id}
     with store_losses():
         client = client_of(tracking_uri())
-        run = _find_or_create(client, name, key, params=params, tags=tags)
+        run = _find_or_create(client, name, key, params=params, tags=tags, began_ms=began_ms)
         status = "KILLED"  # by Ctrl-C, SIGTERM or Prefect's own signal, none of which is an Exception
         try:
             yield run
@@ -86,7 +97,7 @@ def record_run(
             raise
         finally:
             if not run.complete:
-                client.set_terminated(run.run_id, status)
+                client.set_terminated(run.run_id, status, ended_ms)
 
 
 def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Run:
@@ -241,6 +252,33 @@ def log_files(run: Run, files: Sequence[Path], folder: str | None = None) -> Non
         client.log_artifact(run.run_id, str(path), artifact_path=folder)
 
 
+def log_inputs(run: Run, sha256: Mapping[str, str]) -> None:
+    """Log the inputs as MLflow's datasets, so that runs on the same files are found by them.
+
+    Args:
+        run: the run.
+        sha256: of the files, by their role.
+    """
+    from mlflow.entities import Dataset, DatasetInput, InputTag
+
+    tags = [InputTag("mlflow.data.context", "input")]
+    inputs = [
+        DatasetInput(Dataset(role, one[:_DIGEST_LENGTH], "sha256", json.dumps({"sha256": one})), tags)
+        for role, one in sha256.items()
+    ]
+    client_of(run.uri).log_inputs(run.run_id, inputs)
+
+
+def describe(run: Run, text: str) -> None:
+    """Set the description that MLflow shows at the top of a run's page.
+
+    Args:
+        run: the run.
+        text: Markdown.
+    """
+    client_of(run.uri).set_tag(run.run_id, "mlflow.note.content", without_secrets(text))
+
+
 def log_dict(run: Run, content: Mapping[str, Any], name: str) -> None:
     """Log plain values as an artifact; secrets in it are hidden.
 
@@ -284,7 +322,13 @@ def _experiment(client: MlflowClient) -> str:
 
 
 def _find_or_create(
-    client: MlflowClient, name: str, key: str, *, params: Mapping[str, Any], tags: Mapping[str, str]
+    client: MlflowClient,
+    name: str,
+    key: str,
+    *,
+    params: Mapping[str, Any],
+    tags: Mapping[str, str],
+    began_ms: int | None = None,
 ) -> Run:
     patience(str(client.tracking_uri)).another_try()
     experiment_id = _experiment(client)
@@ -296,8 +340,9 @@ def _find_or_create(
     else:
         info = client.create_run(
             experiment_id,
+            began_ms,
             run_name=name,
-            tags={**hidden_in({**environment(), **tags}), _KEY_TAG: key, _OWNER_TAG: owner()},
+            tags={**hidden_in({**environment(), **_source(tags), **tags}), _KEY_TAG: key, _OWNER_TAG: owner()},
         ).info
     if not complete:
         client.set_tag(info.run_id, _OWNER_TAG, owner())
@@ -314,7 +359,14 @@ def add_record_context(key: str, tags: Mapping[str, str]) -> tuple[str, dict[str
         tags: of the run.
     """
     key, tags = _of_repetition(key, tags)
-    return key, {**environment(), **tags}
+    return key, {**environment(), **_source(tags), **tags}
+
+
+def _source(tags: Mapping[str, str]) -> dict[str, str]:
+    """Return MLflow's own tags on what made a run: the command, and the commit of a checkout."""
+    commit = source_commit()
+    source = {"mlflow.source.type": "LOCAL", "mlflow.source.name": f"hfb {tags.get(COMMAND_TAG, '')}".strip()}
+    return source | ({"mlflow.source.git.commit": commit} if commit else {})
 
 
 def _of_repetition(key: str, tags: Mapping[str, str]) -> tuple[str, Mapping[str, str]]:

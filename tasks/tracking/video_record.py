@@ -18,7 +18,7 @@ from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
-from hfb.tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, keep_for_later
+from hfb.tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, describe_run, keep_for_later
 
 _SHOWN = 120  # characters of MLflow's own account, which goes on for lines
 _AT_ONCE = 16  # points that are worth a transaction of their own
@@ -125,6 +125,8 @@ class ClipRecord:
         self._log(whole.points)
         with tracking.store_losses():
             tracking.log_files(run, [file.path for _, file in sorted(files.items())])
+            tracking.log_inputs(run, whole.inputs())
+            tracking.describe(run, whole.description)
             for name, content in whole.contents.items():
                 tracking.log_dict(run, content, name)
         tracking.end_run(run, "FINISHED")
@@ -170,6 +172,7 @@ def clip_record(
         tags=tags,
         points={**points, **_final(result)},
         files={name: RecordedFile(sha256=file.sha256) for name, file in files.items()},
+        description=describe_run("video", config, result),
         contents={RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")},
     )
 

@@ -45,7 +45,7 @@ def look_at_clip(
         InputError: no frame can be decoded, or clip.toml or an option does not fit the clip.
     """
     from hfb.io.media.footage import open_footage
-    from hfb.io.media.lens.camera_pose import clip_world
+    from hfb.io.media.lens.camera_pose import clip_world, pose_remarks
     from hfb.io.media.lens.clip_lens import check_pinhole, clip_lens
     from hfb.io.media.timing import settle_timing
 
@@ -82,7 +82,7 @@ def look_at_clip(
         transfer=footage.transfer,
         light=exposure.light,
         bits=footage.bits,
-        remarks=(*footage.remarks, timing.source, *check_pinhole(K, *size)),
+        remarks=(*footage.remarks, timing.source, *check_pinhole(K, *size), *pose_remarks(given, paths[0].name)),
         world=clip_world(camera, given, paths[0].name),
         readout=find_readout(clip.exposure, exposure),
     )

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
 
-from hfb.errors import InputError, TemporaryError
+from hfb.errors import InputError, TemporaryError, install_advice
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import Call, FileHandle, files_in, with_files
 from hfb.tasks.telemetry.secrets import without_secrets
@@ -107,7 +107,7 @@ class _Dask:
         try:
             from distributed import Client
         except ImportError:
-            raise InputError("a Dask cluster needs its library: pip install 'hfb[dask]'") from None
+            raise InputError(f"a Dask cluster needs its library: {install_advice('dask')}") from None
         try:
             self._client: Any = Client(address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -155,7 +155,7 @@ class _Ray:
         try:
             import ray
         except ImportError:
-            raise InputError("a Ray cluster needs its library: pip install 'hfb[ray]'") from None
+            raise InputError(f"a Ray cluster needs its library: {install_advice('ray')}") from None
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError) as error:

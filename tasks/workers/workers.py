@@ -51,7 +51,7 @@ class _Pool:
         self._executor = self._start()
 
     def _start(self) -> ProcessPoolExecutor:
-        context = _fork_server()
+        context = _context()
         # one per set of processes: a process that is killed while it writes leaves its queue locked
         self._records = _Records(context)
         begin = (self._records.queue, dict(os.environ))
@@ -100,11 +100,14 @@ class _Pool:
         self._records.close()
 
 
-def _fork_server() -> multiprocessing.context.ForkServerContext:
+def _context() -> multiprocessing.context.BaseContext:
     """Start workers as forks of a process that has imported the method and has no threads.
 
     A fork of this process would inherit locks that its threads hold; a fresh process takes seconds to import torch.
+    Where a system has no forks, workers are fresh processes all the same.
     """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     ours = [name for name in sys.modules if name.startswith("hfb.") and not name.startswith(_PARENT_ONLY)]
     context.set_forkserver_preload(["torch", *ours])
@@ -114,7 +117,7 @@ def _fork_server() -> multiprocessing.context.ForkServerContext:
 class _Records:
     """Receives the workers' log records: this process's handlers know the log file and the display."""
 
-    def __init__(self, context: multiprocessing.context.ForkServerContext) -> None:
+    def __init__(self, context: multiprocessing.context.BaseContext) -> None:
         self._reader, writer = context.Pipe(duplex=False)
         self._end_reader, self._end = context.Pipe(duplex=False)
         self.queue = _RecordQueue(writer, context.Lock())

@@ -11,6 +11,7 @@ from PIL import Image
 
 import hfb
 from hfb.api.call_options import config_of
+from hfb.api.given_images import image_files
 from hfb.errors import InputError
 from hfb.flows.record import record_folder
 from hfb.flows.rerun import plan_rerun, repeat
@@ -112,6 +113,12 @@ def test_a_saved_fit_is_made_again(
     assert len(ids) == 2
 
 
+def test_nothing_is_no_clip(tmp_path: Path) -> None:
+    for nothing in (None, 3):
+        with pytest.raises(InputError, match=rf"frames is a {type(nothing).__name__}: give a path, a PIL image or"):
+            image_files(nothing, tmp_path)
+
+
 SQUARE = np.zeros((96, 96, 3), np.uint8)
 
 
@@ -127,6 +134,7 @@ SQUARE = np.zeros((96, 96, 3), np.uint8)
         ([SQUARE, SQUARE], {}, "nobody"),
         ([], {}, "there are no frames"),
         (SQUARE, {}, "one image is no clip"),
+        ([SQUARE], {"background": SQUARE}, "nobody"),
         ("none.mp4", {}, "none.mp4 does not exist"),
         ("empty", {}, "empty holds neither a video nor pictures"),
         ([SQUARE, SQUARE], {"init": lambda *_: None}, "init is a function, which only hfb.fit takes"),

@@ -1,6 +1,7 @@
 """A result in memory and in its folder."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,30 @@ def test_saved_and_read(fitted: hfb.Result, tmp_path: Path) -> None:
     assert json.loads((folder / "result.json").read_text())["mlflow_run_id"] is None
     again.save(folder)  # over itself
     assert np.array_equal(hfb.load_result(again.save(tmp_path / "copy")).poses, fitted.poses)
+
+
+def test_the_home_folder_is_understood(fitted: hfb.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    assert fitted.save("~/saved") == tmp_path / "home" / "saved"
+    assert np.array_equal(hfb.load_result("~/saved").poses, fitted.poses)
+    assert not (tmp_path / "~").exists()
+
+
+def test_a_refused_save_leaves_nothing(fitted: hfb.Result, tmp_path: Path) -> None:
+    (tmp_path / "motion.npz").write_text("mine")
+    with pytest.raises(hfb.InputError, match=r"motion\.npz"):
+        fitted.save(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["motion.npz"]
+
+
+def test_warnings_name_the_option_and_its_name_in_python(fitted: hfb.Result) -> None:
+    said = "give --init FILE, --background PLATE, --camera.tilt-deg and --matting.weights, or --workers 2"
+    told = replace(fitted, facts={"warnings": [{"message": said}]})
+    assert told.warnings == (
+        "give --init (init=...) FILE, --background (background=...) PLATE, --camera.tilt-deg (tilt_deg=...) and "
+        "--matting.weights (matting={'weights': ...}), or --workers 2",
+    )
 
 
 def test_the_commands_read_it(fitted: hfb.Result, tmp_path: Path) -> None:

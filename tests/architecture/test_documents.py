@@ -1,5 +1,6 @@
 """Documents: short where they must be, links that resolve, commands that parse, pictures that are current."""
 
+import argparse
 import importlib.util
 import re
 import tomllib
@@ -60,6 +61,23 @@ def test_commands_parse(path: Path) -> None:
     for words in hfb_commands(path):
         _, unknown = command_line().parse_known_args(words)
         assert unknown == [], words
+
+
+def test_examples_of_the_help_parse() -> None:
+    commands = next(
+        action.choices for action in command_line()._actions if action.dest == argparse.SUPPRESS and action.choices
+    )
+    lines = [line for command in commands.values() for line in command.examples]
+    assert len(lines) > 8
+    for line in lines:
+        assert command_line().parse_known_args(line.split()[1:])[1] == []
+
+
+def test_nobody_is_sent_to_a_package_index_for_hfb() -> None:
+    """The name there is not ours: whoever installed by it would run a stranger's program."""
+    sources = [path for room in ("hfb", "tasks", "flows", "infra", "tests") for path in (ROOT / room).rglob("*.py")]
+    told = re.compile(r"install\s+['\"]?hfb(?![-\w])")
+    assert [path for path in [*documents(), *sources] if told.search(path.read_text())] == []
 
 
 def test_options_in_documents_exist() -> None:

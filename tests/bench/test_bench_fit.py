@@ -123,7 +123,7 @@ def test_what_users_run(scale: Scale, figures: Figures, thorough: None) -> None:
 
 def test_fits_as_one_problem_on_a_gpu(scale: Scale, figures: Figures) -> None:
     """With pose blend shapes and everything that a fit does; without a GPU only that it runs."""
-    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
+    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install '.[cuda]')")
     gpu = torch.cuda.is_available()
     if scale.measures and not gpu:
         figures.say("no GPU here: fits on one were not measured")

@@ -132,7 +132,7 @@ def test_eight_silhouettes(benchmark) -> None:
 @pytest.mark.usefixtures("thorough")
 def test_eight_bodies_by_warp(scale: Scale, figures: Figures) -> None:
     """On a GPU where there is one: with 16 frames at once, which is what keeps it busy."""
-    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
+    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install '.[cuda]')")
     from hfb.rendering.warp import WarpRasterizer
 
     device = "cuda" if torch.cuda.is_available() else "cpu"

@@ -1,5 +1,6 @@
 """Help and mistakes are answered at once: nothing heavy is imported for them."""
 
+import re
 import subprocess
 import sys
 
@@ -51,8 +52,20 @@ def test_help_is_light(command: str) -> None:
 
 def test_help_names_what_there_is() -> None:
     _, text, _ = answer("fit", "--help")
-    for flag in ("--background", "--clip", "--preset", "--out", "--seed", "--config", "--json", "--fit.subframes"):
+    for flag in ("--background", "--clip", "--preset", "--out", "--seed", "--config", "--json", "--fit.height-m"):
         assert flag in text
+    _, everything, modules = answer("fit", "--help-all")
+    for flag in ("--background", "--fit.subframes", "--fit.weights.image", "--verbose"):
+        assert flag in everything
+    assert not modules & HEAVY
+
+
+@pytest.mark.parametrize("command", ["fit", "demo", "video", "batch", "synth", "benchmark", "reproduce", "export"])
+def test_help_shows_some_fifteen_options_and_an_example(command: str) -> None:
+    _, text, _ = answer(command, "--help")
+    options = [line for line in text.splitlines() if re.match(r"  -{1,2}[a-z]", line)]
+    assert 11 <= len(options) <= 22
+    assert f"\n  hfb {command} " in text.partition("examples:")[2]
 
 
 @pytest.mark.parametrize(

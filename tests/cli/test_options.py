@@ -91,6 +91,26 @@ EARLIER = {
 }
 
 
+def test_a_flag_shows_the_kind_and_the_unit_of_its_value() -> None:
+    parser = argparse.ArgumentParser()
+    add_config_flags(parser)
+    shown = {one.option_strings[0]: one.metavar for one in parser._actions if one.help != argparse.SUPPRESS}
+    numbers = {
+        "--fit.height-m": "M",
+        "--exposure.seconds": "S",
+        "--exposure.fps": "FPS",
+        "--camera.focal-px": "PX",
+        "--camera.tilt-deg": "DEG",
+        "--matting.half": "true|false",
+        "--fit.subframes": "N",
+        "--fit.origin": "X",
+        "--export.amass-rate": "30|60|120",
+        "--export.formats": "NAME,...",
+    }
+    assert {flag: shown[flag] for flag in numbers} == numbers
+    assert {flag for flag, metavar in shown.items() if metavar == "JSON"} == {"--fit.stages", "--video.stages"}
+
+
 @pytest.mark.parametrize("earlier", EARLIER)
 def test_earlier_names_are_read_and_the_new_one_is_named(
     earlier: str, tmp_path: Path, caplog: pytest.LogCaptureFixture

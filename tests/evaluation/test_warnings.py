@@ -7,18 +7,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
+from hfb.body.assets import load_body
+from hfb.datasets.motions.folder import FolderMotions
+from hfb.datasets.motions.resampling import has_jump, resample
 from hfb.evaluation.warnings import (
     Look,
     check_front,
     check_left_over,
     check_light,
+    check_limits,
     check_matte_iou,
     check_never_left,
     check_spin,
     check_static,
     find_warnings,
 )
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.sampled import SampledMotion
 from hfb.tracking.tracks import find_tracks
@@ -230,3 +236,73 @@ def test_a_front_that_may_be_the_other_is_told() -> None:
     assert "hfb models fetch" in found.message
     assert check_front({0: 0.9}, {0: 170.0}) is None
     assert check_front({}, {}) is None
+
+
+def swing(speed_m_s: float, back: bool, open_s: float = 1 / 30, rows: int = 8) -> SampledMotion:
+    """One exposure in which the left wrist moves on, or goes back half way through; all else stands still."""
+    u = np.linspace(-1, 1, rows)
+    rest = np.zeros((rows, 24, 3))
+    rest[:, 1:] = np.random.default_rng(3).uniform(-1, 1, (23, 3))
+    # A path x(u) with |dx/dt| as asked at both ends of the exposure: x = v t, or a parabola.
+    path = speed_m_s * open_s / 2 * (u**2 / 2 * rows / (rows - 1) if back else u)
+    rest[:, 20, 0] += path
+    still = motion([0.0], open_s)
+    times = np.linspace(0, open_s, rows)
+    poses = np.zeros((rows, 72))
+    index = np.zeros(rows, int)
+    return replace(still, poses=poses, trans=np.zeros((rows, 3)), joints=rest, times_s=times, frame_index=index)
+
+
+def test_a_limb_that_turns_within_an_exposure() -> None:
+    assert check_limits(swing(6.0, back=False)) == []
+    assert check_limits(swing(1.0, back=True)) == []
+    assert check_limits(swing(3.0, back=True, open_s=0.2)) == []  # there is time to wave
+    (found,) = check_limits(swing(3.0, back=True))
+    assert (found.code, found.frames) == ("limb_turn", (0,))
+    assert found.value == pytest.approx(3.0, rel=0.05)
+    assert "the left wrist stops and turns around within one exposure" in found.message
+
+
+def test_a_limb_that_is_faster_than_anybody() -> None:
+    assert check_limits(swing(24.0, back=False, open_s=1 / 500)) == []
+    (found,) = [one for one in check_limits(swing(40.0, back=False, open_s=1 / 500)) if one.code == "limb_speed"]
+    assert found.value == pytest.approx(40.0)
+    assert "the left wrist moves at 40 m/s" in found.message
+
+
+def test_a_joint_that_bends_faster_than_anybody() -> None:
+    def bent(rate_deg_s: float) -> SampledMotion:
+        moving = swing(0.0, back=False)
+        angle = np.deg2rad(rate_deg_s) * moving.times_s + 0.5
+        joints = moving.joints.copy()
+        hip, knee, ankle = 2, 5, 8
+        joints[:, hip], joints[:, knee] = [0, -0.4, 3], [0, 0, 3]
+        joints[:, ankle] = np.stack([0.1 * np.sin(angle), -0.1 * np.cos(angle), np.full(len(angle), 3.0)], 1)
+        return replace(moving, joints=joints)
+
+    assert check_limits(bent(2000.0)) == []
+    (found,) = check_limits(bent(3000.0))
+    assert (found.code, round(found.value)) == ("joint_speed", 3000)
+    assert "the right knee bends at 3000 degrees/s" in found.message
+
+
+@pytest.mark.skipif(not (SHARED_DATA / "cmu_bvh").is_dir(), reason="no recorded motions here")
+def test_recorded_motions_are_plausible() -> None:
+    """Of windows of 1/15 s of true motions less than 1 % are told, and none for a speed."""
+    source, rng, told, count = FolderMotions(SHARED_DATA / "cmu_bvh"), np.random.default_rng(0), [], 0
+    shaped = load_body(None).shape(torch.zeros(10))
+    for number in range(0, len(source.names()), 6):
+        clip = source.load(number)
+        starts_s = rng.uniform(0, (len(clip.poses) - 1) / clip.fps - 1 / 15, 15)
+        starts_s = np.array([start for start in starts_s if not has_jump(clip, start, start + 1 / 15)])
+        times_s = starts_s[:, None] + np.linspace(0, 1 / 15, 8)
+        poses, trans = resample(clip, times_s.ravel())
+        R = axis_angle_to_matrix(torch.from_numpy(poses).float())
+        joints = shaped.joints_of(R, torch.from_numpy(trans).float()).numpy().astype(np.float64)
+        index = np.repeat(np.arange(len(starts_s)), 8)
+        flat = poses.reshape(-1, 72)
+        told += check_limits(SampledMotion(flat, trans, np.zeros(10), joints, times_s.ravel(), index, np.eye(3)))
+        count += len(starts_s)
+    assert count > 250
+    assert {one.code for one in told} <= {"limb_turn"}
+    assert sum(len(one.frames) for one in told) < 0.01 * count

@@ -26,7 +26,7 @@ from tests.bench.jobs import with_pose_blend_shapes
 from tests.fitting.scenes import true_evidence
 from tests.scenes import Scene, moving_scene
 
-pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
+pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install '.[cuda]')")
 from hfb.fitting.batched_objective import BatchedObjective, BatchedVariables
 from hfb.rendering.warp import WarpRasterizer
 

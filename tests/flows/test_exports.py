@@ -116,7 +116,7 @@ def test_a_library_that_is_missing_is_said_before_anything_is_computed(
     problem: Problem, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hfb.interop.writers.export_names.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"hfb\[c3d\]"):
+    with pytest.raises(InputError, match=r"\.\[c3d\]"):
         run(problem, tmp_path / "out", ExportConfig(formats=("c3d",)))
     assert not (tmp_path / "out").exists()
 

@@ -198,7 +198,7 @@ def make_other_plate(folder: Path) -> Path:
 
 def test_windows_go_together_on_a_device(store: Path, tmp_path: Path) -> None:
     """By the kernels for GPUs, here on the processor: two windows are one problem, and none is lost or done twice."""
-    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
+    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install '.[cuda]')")
     out = begun(tmp_path / "out")
     gentle = "--video.stages", '[{"size_px": 32, "iterations": 3, "learning_rate": 0.002}]'
     options = "--fit.rasterizer", "warp", "--fit.batch-size", "2", *gentle

@@ -75,7 +75,7 @@ def test_the_pool_sets_how_often_a_run_is_heard_of(beat: Any, taken: bool) -> No
 
 
 def test_a_container_has_the_pools_image_and_our_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("prefect_docker", reason="needs hfb[team]")
+    pytest.importorskip("prefect_docker", reason="needs the extra team")
     monkeypatch.syspath_prepend(str(_INFRA))
     for name, value in {"HFB_IMAGE": "ours", "HFB_VOLUMES": "/srv:/data", worker.BEAT: "30"}.items():
         monkeypatch.setenv(name, value)

@@ -15,7 +15,7 @@ from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.rasterizer import Rasterizer
 from tests.rendering.bodies import at, ball, box, limb, people, person_mesh, smooth_texture, two_balls
 
-pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
+pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install '.[cuda]')")
 from hfb.kernels.warp import operators as cuda_operators
 from hfb.rendering.warp import WarpRasterizer
 

@@ -1,13 +1,18 @@
 """MLflow: one run per problem, every value once, whatever was interrupted."""
 
+import json
 import time
 from pathlib import Path
 
 import pytest
 
+import hfb
 from hfb.errors import InputError
+from hfb.tasks.core.environment import source_commit
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.ownership import owner
+from hfb.tasks.tracking.recipe import COMMAND_TAG
+from hfb.tasks.tracking.run_record import RunRecord, write_run
 from hfb.tasks.tracking.store_place import pages_command
 from tests.orchestration import mlflow_rows
 
@@ -129,3 +134,60 @@ def test_links(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MLFLOW_TRACKING_URI", served.uri)
     with pytest.raises(InputError, match="pages of its own"):
         pages_command()
+
+
+def test_a_run_lasts_as_long_as_the_work(store: Path) -> None:
+    """Recorded at the end or later, it begins and ends when the work did, and names its inputs and its source."""
+    began_ms, ended_ms = 1_700_000_000_000, 1_700_000_090_000
+    kept = RunRecord(
+        name="jump",
+        key="k",
+        params={"input": {"frame_0": "a" * 64, "background": "b" * 64}},
+        tags={COMMAND_TAG: "fit"},
+        points={"loss/total": {0: 2.0, 1: 1.0}},
+        files={},
+        contents={},
+        description="`hfb fit`: IoU 0.9.",
+        began_ms=began_ms,
+        ended_ms=ended_ms,
+    )
+    run_id = write_run(kept, {}).run_id
+    assert mlflow_rows(store, "select start_time, end_time, status from runs") == [(began_ms, ended_ms, "FINISHED")]
+    assert mlflow_rows(store, "select min(timestamp) from metrics") == [(began_ms,)]
+    datasets = mlflow_rows(store, "select name, digest, dataset_source from datasets order by name")
+    assert datasets == [
+        ("background", "b" * 36, json.dumps({"sha256": "b" * 64})),
+        ("frame_0", "a" * 36, json.dumps({"sha256": "a" * 64})),
+    ]
+    tags = dict(mlflow_rows(store, f"select key, value from tags where run_uuid = '{run_id}'"))
+    assert tags["mlflow.note.content"] == "`hfb fit`: IoU 0.9."
+    assert tags["mlflow.source.name"] == "hfb fit"
+    assert tags.get("mlflow.source.git.commit") == source_commit()
+    assert write_run(kept, {}).run_id == run_id
+    assert mlflow_rows(store, "select count(*) from inputs") == [(2,)]
+
+
+def test_the_commit_of_a_checkout_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a branch, loose or packed, detached, in a worktree; a wheel has none."""
+    commit, git = "c0ffee" * 6 + "c0fe", tmp_path / ".git"
+    monkeypatch.setattr(hfb, "__file__", str(tmp_path / "hfb" / "__init__.py"))
+    read = source_commit.__wrapped__
+    assert read() is None
+    (git / "refs" / "heads").mkdir(parents=True)
+    (git / "HEAD").write_text("ref: refs/heads/main\n")
+    assert read() is None  # nothing was committed yet
+    (git / "packed-refs").write_text(f"# pack-refs with: peeled\n{commit} refs/heads/main\n")
+    assert read() == commit
+    (git / "refs" / "heads" / "main").write_text("a" * 40)
+    assert read() == "a" * 40
+    (git / "HEAD").write_text(f"{commit}\n")
+    assert read() == commit
+    worktree = git / "worktrees" / "mine"
+    worktree.mkdir(parents=True)
+    (worktree / "HEAD").write_text("ref: refs/heads/main\n")
+    (worktree / "commondir").write_text("../..\n")
+    (git / "refs" / "heads" / "main").write_text(f"{commit}\n")
+    (tmp_path / "tree").mkdir()
+    (tmp_path / "tree" / ".git").write_text(f"gitdir: {worktree}\n")
+    monkeypatch.setattr(hfb, "__file__", str(tmp_path / "tree" / "hfb" / "__init__.py"))
+    assert read() == commit

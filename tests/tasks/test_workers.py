@@ -1,6 +1,7 @@
 """Worker processes: the same result wherever it is computed, and none lost when one dies."""
 
 import logging
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -37,6 +38,10 @@ def fail() -> None:
     raise ValueError("said by the computation")
 
 
+def parent_of(process: int) -> int:
+    return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[1])
+
+
 def meet(folder: Path) -> int:
     """Ends when a second process has come."""
     (folder / f"{os.getpid()}.here").touch()
@@ -65,6 +70,15 @@ def test_two_workers_compute_elsewhere_and_mend(tmp_path: Path) -> None:
             run_local(die)
         assert run_local(process_id, 0) != os.getpid()
     assert run_local(process_id, 0) == os.getpid()
+
+
+def test_workers_are_spawned_where_nothing_forks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda: ["spawn"])
+    with workers(2), ThreadPoolExecutor(2) as threads:
+        seen = set(threads.map(lambda _: run_local(meet, tmp_path), range(2)))
+        assert len(seen - {os.getpid()}) == 2
+        assert {parent_of(one) for one in seen} == {os.getpid()}  # and no server between them
+        assert run_local(die_once, tmp_path / "mark") == "survived"
 
 
 def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:

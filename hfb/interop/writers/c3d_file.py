@@ -1,4 +1,4 @@
-"""joints.c3d, a table of joints for biomechanics programs; needs the extra ``hfb[c3d]``."""
+"""joints.c3d, a table of joints for biomechanics programs; needs the extra `c3d`."""
 
 import io
 import warnings

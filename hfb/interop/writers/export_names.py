@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 
 from hfb.config import Film, MotionFormat
-from hfb.errors import InputError
+from hfb.errors import InputError, install_advice
 
 FILE_NAMES: dict[MotionFormat, str] = {
     "amass": "amass.npz",
@@ -30,6 +30,23 @@ RECORD = "record.json"
 REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 """The page about a result, what its curves show, and its film among the intermediate files."""
 
+LINKED_FILES = {
+    "motion.glb": "the body with skeleton and texture, for Blender and other viewers of glTF",
+    "motion.bvh": "the skeleton's motion for other rigs",
+    "amass.npz": "the motion in AMASS's layout",
+    "joints.csv": "positions of the joints as a table",
+    "joints.trc": "positions of the joints for OpenSim",
+    "joints.c3d": "positions of the joints for biomechanics programs",
+    "slowmotion.mp4": "the motion slowed down, beside the blurred picture",
+    "exact_time.mp4": "the motion at its true times",
+    "overlay.mp4": "the body over the pictures",
+    "strip.png": "the strip above at its full size",
+    "motion.npz": "poses, shape and joints for programs in Python",
+    "alternatives.npz": "other motions that explain the picture",
+    RESULT: "all figures, options and warnings",
+}
+"""Files beside a page that it links to, and what they are."""
+
 NEEDS_BODY: tuple[MotionFormat, ...] = ("glb",)
 """Formats with a surface; the others need nothing but the motion."""
 
@@ -44,4 +61,4 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
         InputError: one is missing.
     """
     if "c3d" in formats and find_spec("c3d") is None:
-        raise InputError("joints.c3d needs the c3d library: pip install 'hfb[c3d]', or leave c3d out of the formats")
+        raise InputError(f"joints.c3d needs the c3d library: {install_advice('c3d')}; or leave c3d out of the formats")

@@ -7,6 +7,8 @@ from typing import Any
 
 from hfb.body.model import Body
 from hfb.fitting.alternatives import Alternatives
+from hfb.interop.writers.export_names import LINKED_FILES
+from hfb.io.media.images.image_decoding import decode_picture
 from hfb.motion.sampled import SampledMotion
 from hfb.report.pages.page import checked_picture, page
 from hfb.report.pages.result_curves import curve_charts
@@ -46,6 +48,7 @@ class ResultContents:
         film_caption: what the film shows.
         environment: versions and machine by name.
         repeat: the command that repeats the run; None where it was not recorded.
+        beside: names of the files beside the page, of `LINKED_FILES`.
     """
 
     title: str
@@ -60,6 +63,7 @@ class ResultContents:
     film_caption: str = ""
     environment: Mapping[str, str] = field(default_factory=dict)
     repeat: str | None = None
+    beside: tuple[str, ...] = ()
 
 
 def result_page(contents: ResultContents) -> str:
@@ -78,7 +82,7 @@ def result_page(contents: ResultContents) -> str:
         figures=_figures(facts),
         warnings=_warnings(facts),
         remarks=_remarks(facts),
-        strip=None if contents.strip is None else checked_picture(contents.strip, _STRIP_WIDTH_PX, _KEPT_BYTES),
+        strip=None if contents.strip is None else _strip(contents.strip),
         body=contents.body,
         viewer=viewer(motions, contents.body, contents.texture_png),
         film=contents.film,
@@ -89,10 +93,18 @@ def result_page(contents: ResultContents) -> str:
         alternatives=alternatives_table(contents.alternatives),
         curves=curve_charts(contents.curves, facts),
         repeat=contents.repeat,
+        beside=[(name, LINKED_FILES[name]) for name in contents.beside],
         link=facts["mlflow_link"] if isinstance(facts.get("mlflow_link"), str) else None,
         made_from=_made_from(contents),
         scripts=viewer_scripts(),
     )
+
+
+def _strip(path: Path) -> tuple[bytes, int, int]:
+    """Return the strip with the width and height of one half of it; a narrow page has one below the other."""
+    content = checked_picture(path, _STRIP_WIDTH_PX, _KEPT_BYTES)
+    height, width = decode_picture(path, data=content).pixels.shape[:2]
+    return content, width, 2 * height
 
 
 def _figures(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -131,10 +143,23 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]
     """Return nested values with dotted names."""
     rows: list[tuple[str, str]] = []
     for name, value in content.items():
+        if isinstance(value, list) and any(isinstance(one, Mapping) for one in value):
+            value = {str(number): one for number, one in enumerate(value)}
         if isinstance(value, Mapping) and value:
             rows += _flat(value, f"{prefix}{name}.")
         else:
-            rows.append((f"{prefix}{name}", "-" if value is None else str(value)[:_LONGEST_WORDS]))
+            rows.append((f"{prefix}{name}", _shown(value)[:_LONGEST_WORDS]))
         if len(rows) > _MOST_ROWS:
             return [*rows[:_MOST_ROWS], ("...", "the rest is in result.json")]
     return rows
+
+
+def _shown(value: Any) -> str:
+    """Return a value as a reader writes it: no brackets, no long fractions."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return ", ".join(map(_shown, value)) or "-"
+    return "-" if value is None else str(value)

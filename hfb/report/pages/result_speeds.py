@@ -104,8 +104,8 @@ def _other_advice(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
         right = directions[0].get("right", {}).get("body")
         if isinstance(right, int | float) and right < _UNSURE_DIRECTION:
             said.append(
-                f"One picture leaves the direction open ({100 * right:.0f} % for the one shown): a second frame of the "
-                "same camera tells it, 57 of 60 in our measurements."
+                "One picture leaves the direction open: a second frame of the same camera tells it, 57 of 60 in our "
+                "measurements."
             )
     agreement = facts.get("matte_iou")
     if isinstance(agreement, int | float) and agreement < _POOR_IOU:

@@ -75,7 +75,7 @@ def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]
         ]
         for number in by_probability(alternatives)[:_SHOWN]
     ]
-    return {"head": ["compared with the result", "probability", *(label for _, label, _ in known)], "rows": rows}
+    return {"head": ["compared with the result", "share", *(label for _, label, _ in known)], "rows": rows}
 
 
 def alternative_motions(motion: SampledMotion, alternatives: Alternatives) -> list[ViewedMotion]:

@@ -7,12 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-from hfb.config import CameraConfig
+from hfb.config import CameraConfig, preset
 from hfb.errors import InputError
 from hfb.geometry.placement import angles_of_world, in_world, z_up
 from hfb.geometry.world import LEVEL, World
 from hfb.io.clip import ClipCamera, read_clip
-from hfb.io.media.lens.camera_pose import clip_world
+from hfb.io.media.images.image_io import write_png
+from hfb.io.media.lens.camera_pose import clip_world, pose_remarks
+from hfb.tasks.inputs.inputs import take_inputs
 from tests.datasets.real.videos import calibration_toml, cameras_json
 
 _VECTOR, _T = np.array([1.7, -0.9, 0.6]), np.array([0.1, 0.2, 3.0])
@@ -65,6 +67,31 @@ def test_what_is_no_pose_is_taken_as_none(tmp_path: Path) -> None:
     assert read(tmp_path, opencv(path), path.name) is None
     assert read(tmp_path, opencv(path, R=np.eye(3)), path.name) is None  # a rectification
     assert clip_world(CameraConfig(), ClipCamera(focal_px=900), "a.mp4") is None
+
+
+@pytest.mark.parametrize("named", [("rvec",), ("tvec",), ("rvecs", "tvecs"), ("extrinsic_parameters",)])
+def test_half_a_pose_and_one_by_other_names_is_told(
+    named: tuple[str, ...], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "camera.yml"
+    assert read(tmp_path, opencv(path, **dict.fromkeys(named, _T)), path.name) is None
+    (remark,) = pose_remarks(ClipCamera(calibration=path), "a.mp4")
+    assert f"{' and '.join(named)} {'is' if len(named) == 1 else 'are'} not taken as the camera's pose" in remark
+    for key in ("R_world_to_cam", "rvec", "t_world_to_cam", "tvec"):
+        assert key in remark
+    (tmp_path / "clip.toml").write_text(f'[camera]\ncalibration = "{path.name}"')
+    picture = tmp_path / "a.png"
+    write_png(picture, np.zeros((8, 8, 3), np.float32))
+    take_inputs([picture], picture, preset("best"), tmp_path / "clip.toml")
+    assert caplog.messages == [remark]
+
+
+def test_a_pose_and_a_rectification_are_not_told(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yml"
+    for entries in ({"rvec": _VECTOR, "tvec": _T}, {"R": np.eye(3)}, {}):
+        opencv(path, **entries)
+        assert pose_remarks(ClipCamera(calibration=path), "a.mp4") == ()
+    assert pose_remarks(ClipCamera(focal_px=900), "a.mp4") == ()
 
 
 @pytest.mark.parametrize(

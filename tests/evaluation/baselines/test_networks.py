@@ -90,7 +90,7 @@ def test_damaged_and_missing_networks(tmp_path: Path, weights: np.ndarray) -> No
 def test_onnx_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, weights: np.ndarray) -> None:
     path = save_linear_onnx(weights, _SIZE, tmp_path / "net.onnx")
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(InputError, match=r"pip install 'hfb\[onnx\]'"):
+    with pytest.raises(InputError, match=r"pip install '\.\[onnx\]'"):
         load_network(path)
 
 

@@ -203,5 +203,5 @@ def test_the_same_motion_gives_the_same_bytes(tmp_path: Path) -> None:
 
 def test_c3d_without_its_library_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hfb.interop.writers.export_names.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"hfb\[c3d\]"):
+    with pytest.raises(InputError, match=r"\.\[c3d\]"):
         c3d_bytes(motion_of(BODY, frames=1))

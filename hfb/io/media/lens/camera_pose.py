@@ -9,9 +9,12 @@ from hfb.geometry.placement import row_of, rows_of, up_of_angles, world_of_pose,
 from hfb.geometry.world import Row, Rows, World, rotation_fault
 from hfb.io.clip import ClipCamera
 from hfb.io.media.lens.clip_lens import choose_camera, find_entry, flat_numbers
+from hfb.io.media.lens.lens_models import plain
 
 _ROTATION = ("rotation", "rworldtocam", "rotationmatrix", "rotationvector", "rvec", "r")
 _TRANSLATION = ("translation", "tworldtocam", "translationvector", "tvec", "t")
+# R alone is a rectification.
+_LIKE_A_POSE = ("rvec", "tvec", "rotation", "translation", "extrinsic", "pose", "worldtocam")
 FARTHEST_M = 100.0
 """Translations beyond it are in other units, such as a board's millimetres: then only the rotation counts."""
 
@@ -69,3 +72,29 @@ def calibrated_pose(camera: ClipCamera, video: str) -> tuple[Rows, Row] | None:
     if not place.any() and np.array_equal(R, np.eye(3)):
         return None
     return rows_of(R), row_of(place)
+
+
+def pose_remarks(camera: ClipCamera, video: str) -> tuple[str, ...]:
+    """Return a sentence for the user if a calibration has entries like a pose, and no pose that is read.
+
+    Args:
+        camera: entries of clip.toml.
+        video: as of `clip_world`.
+
+    Raises:
+        InputError: the calibration is missing, damaged, or has no such camera.
+    """
+    if camera.calibration is None or camera.rotation is not None:
+        return ()
+    where, entries = choose_camera(camera.calibration, camera.name, video)
+    if all(find_entry(entries, names) is not None for names in (_ROTATION, _TRANSLATION)):
+        return ()
+    named = [key for key in entries if key.isprintable() and any(word in plain(key) for word in _LIKE_A_POSE)]
+    if not named:
+        return ()
+    verb = "is" if len(named) == 1 else "are"
+    return (
+        f"{where}: {' and '.join(named[:4])} {verb} not taken as the camera's pose, which is a "
+        "rotation (rotation, R_world_to_cam, rotation_matrix, rotation_vector, rvec or R) together with a translation "
+        "(translation, t_world_to_cam, translation_vector, tvec or t): give both under such names",
+    )
