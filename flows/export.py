@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any, cast
 
 from hfb.body.model import BetasSpace
-from hfb.config import AmassRate, CameraConfig, CsvFrame, Film, MeshFormat, MotionFormat, WorldUp
+from hfb.config import AmassRate, CameraConfig, CsvFrame, ExportConfig, Film, MeshFormat, MotionFormat, WorldUp
 from hfb.errors import InputError
 from hfb.geometry.world import CALIBRATED, World
-from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
+from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, PLATE, RESULT, check_formats
 from hfb.interop.writers.export_world import describe_world
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import Clip, read_clip
 from hfb.io.media.images.image_io import stored_png
 from hfb.io.media.lens.camera_pose import clip_world
@@ -42,6 +43,7 @@ def export_result(
     films: Sequence[Film] = (),
     inputs: Path | None = None,
     csv_frame: CsvFrame = "camera",
+    fps: float = ExportConfig().fps,
     camera: CameraConfig = _UNKNOWN,
     clip: Path | None = None,
 ) -> dict[str, Any]:
@@ -57,6 +59,7 @@ def export_result(
         films: which.
         inputs: where to look for images that were moved; they are recognised by their content.
         csv_frame: coordinates in joints.csv.
+        fps: frames per second of the program that opens motion.glb.
         camera: how the camera stands in the world, where the result does not know it, or is wrong.
         clip: a clip.toml that tells the same.
 
@@ -68,7 +71,7 @@ def export_result(
             are asked for and the images are gone, or somebody else's files lie where meshes belong.
     """
     check_formats(formats)
-    with resolve_result(source, (TEXTURE, RESULT)) as place:
+    with resolve_result(source, (TEXTURE, PLATE, RESULT)) as place:
         motion, space = load_motion(place.motion)
         told = read_clip(clip) if clip else Clip()
         world = clip_world(camera, told.camera, told.video.name if told.video else "")
@@ -76,7 +79,10 @@ def export_result(
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = load_fitted_body(motion, space, body or find_named_body(place.files / RESULT)) if surface else None
         texture = stored_png(place.files / TEXTURE) if (place.files / TEXTURE).exists() else None
-        exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate, csv_frame)
+        plate = stored_png(place.files / PLATE) if "glb" in formats and (place.files / PLATE).exists() else None
+        exported = Exported(
+            motion, cast(BetasSpace, space), model, texture, amass_rate, csv_frame, fps, PLATE if plate else None
+        )
         folder = out or place.new_folder("export", place.folder / _FOLDER)
         if out is None and place.fetched is None:
             check_tree(place.folder, _FOLDER)  # nobody's link may lead the files elsewhere
@@ -84,12 +90,19 @@ def export_result(
         check_tree(folder, MESHES)
         for form in meshes:
             earlier_meshes(folder / MESHES, form)  # what is in their way is said before anything is written
-        names = [*(FILE_NAMES[form] for form in formats), *(FILM_NAMES[film] for film in films)]
+        names = [
+            *(FILE_NAMES[form] for form in formats),
+            *(FILM_NAMES[film] for film in films),
+            *([PLATE] if plate else []),
+        ]
         with beside_result(folder, names) as target:
             written = _draw_films(target, films, place, exported=exported, inputs=inputs) if films else []
             if formats:
                 with progress.step("motion files"):
                     written = [write_motion_file(target, form, exported) for form in formats] + written
+            if plate:
+                write_bytes_atomic(target / PLATE, plate)
+                written.append(target / PLATE)
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
     facts = describe_world(motion)
     if facts.doubtful:

@@ -361,6 +361,7 @@ class ExportConfig(Record):
     )
     amass_rate: AmassRate = Field(120, description="poses per second in amass.npz")
     csv_frame: CsvFrame = Field("camera", description="coordinates in joints.csv; the other files are in the world")
+    fps: float = Field(24.0, ge=1, le=1000, description="of the program that opens motion.glb: keys are on whole frames")
     films: Annotated[tuple[Film, ...], BeforeValidator(_words)] = Field(
         ("slowmotion", "overlay"),
         description="videos: slowmotion, exact (one picture per sub-frame, at its true time), overlay, or none",

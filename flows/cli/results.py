@@ -16,7 +16,7 @@ _MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
 _FILMS: tuple[Film, ...] = get_args(Film)
 _ALL = (*get_args(MotionFormat), *_MESHES)
 _PLACE = ("tilt_deg", "roll_deg", "world_up")
-_RATE = ExportConfig().amass_rate
+_RATE, _FPS = ExportConfig().amass_rate, ExportConfig().fps
 
 
 def add_export_flags(parser: argparse.ArgumentParser) -> None:
@@ -31,6 +31,8 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
     add("--formats", metavar="NAME,...", help=f"of {', '.join(_ALL)}; obj and ply are a mesh per sub-frame [{shown}]")
     add("--amass-rate", type=int, choices=(30, 60, 120), help=f"poses per second in amass.npz [{_RATE}]")
     add("--csv-frame", choices=("camera", "world"), default="camera", help="coordinates in joints.csv [camera]")
+    described = ExportConfig.model_fields["fps"].description
+    add("--fps", metavar="X", default=_FPS, help=f"{described} [{_FPS:g}]")
     add("--clip", type=Path, metavar="clip.toml", help="the camera's place in the world, as rotation and translation")
     for name in _PLACE:
         described = CameraConfig.model_fields[name].description
@@ -65,6 +67,7 @@ def export(args: argparse.Namespace) -> None:
             films=films,
             inputs=args.inputs,
             csv_frame=args.csv_frame,
+            fps=to_record(ExportConfig, {"fps": args.fps}, "options").fps,
             camera=camera,
             clip=args.clip,
         )

@@ -19,7 +19,10 @@ FILE_NAMES: dict[MotionFormat, str] = {
 FILM_NAMES: dict[Film, str] = {"slowmotion": "slowmotion.mp4", "exact": "exact_time.mp4", "overlay": "overlay.mp4"}
 """Name of each film's file there."""
 
-EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())
+PLATE = "motion_plate.png"
+"""The background behind the person of motion.glb, beside it."""
+
+EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), PLATE, *FILM_NAMES.values())
 
 RESULT = "result.json"
 """The facts of a finished result; it is there last."""

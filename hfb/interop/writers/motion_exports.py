@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hfb.body.model import BetasSpace, Body
-from hfb.config import AmassRate, CsvFrame, MotionFormat
+from hfb.config import AmassRate, CsvFrame, ExportConfig, MotionFormat
 from hfb.interop.writers.amass import write_amass
 from hfb.interop.writers.bvh import write_bvh
 from hfb.interop.writers.c3d_file import write_c3d
@@ -23,6 +23,8 @@ class Exported:
         betas_space: space of the motion's shape coefficients.
         body: the model it was fitted with; None is enough for formats without a surface.
         texture_png: the person's texture as an sRGB image.
+        fps: frames per second of the program that opens motion.glb.
+        plate: name of the background's file beside it.
     """
 
     motion: SampledMotion
@@ -31,6 +33,8 @@ class Exported:
     texture_png: bytes | None = None
     amass_rate: AmassRate = 120
     csv_frame: CsvFrame = "camera"
+    fps: float = ExportConfig().fps
+    plate: str | None = None
 
 
 def write_motion_file(folder: Path, form: MotionFormat, exported: Exported) -> Path:
@@ -53,7 +57,7 @@ def write_motion_file(folder: Path, form: MotionFormat, exported: Exported) -> P
 def _write_glb(path: Path, exported: Exported) -> None:
     if exported.body is None:
         raise ValueError("motion.glb has a surface: it needs the body model")
-    write_glb(path, exported.motion, exported.body, exported.texture_png)
+    write_glb(path, exported.motion, exported.body, exported.texture_png, exported.fps, exported.plate)
 
 
 _WRITERS: dict[MotionFormat, Callable[[Path, Exported], None]] = {

@@ -96,17 +96,19 @@ def in_gltf(points: np.ndarray) -> np.ndarray:
 
 
 def test_joints_at_every_key_of_both_animations(glb: Glb) -> None:
-    true_time, slow_motion = glb.document["animations"]
-    factor = slow_factor(MOTION)
-    assert factor == pytest.approx(350 / 30)
-    assert glb.document["asset"]["extras"]["slow_factor"] == pytest.approx(factor)
+    slow_motion, true_time = glb.document["animations"]
+    assert (slow_motion["name"], true_time["name"]) == ("slow motion 14.6x", "true time")
+    assert glb.document["asset"]["extras"]["slow_factor"] == pytest.approx(slow_factor(MOTION, 24))
+    assert slow_factor(MOTION, 24) == pytest.approx(350 / 24)
+    # 1/30 s are 11.67 steps of 1/350 s: the second exposure begins 12 whole frames after the first
+    shown_s = np.array([*range(1, 9), *range(13, 21)]) / 24
     joints = glb.document["skins"][0]["joints"]
     assert [glb.document["nodes"][joint]["name"] for joint in joints] == list(JOINT_NAMES)
-    for animation, pace in ((true_time, 1.0), (slow_motion, factor)):
+    for animation, at_s in ((true_time, MOTION.times_s), (slow_motion, shown_s)):
         for sampler in animation["samplers"]:
             times_s = glb.array(sampler["input"])
             assert (np.diff(times_s) > 0).all()
-            np.testing.assert_allclose(times_s, MOTION.times_s * pace, atol=1e-6)
+            np.testing.assert_allclose(times_s, at_s, atol=1e-6)
         for key in range(len(MOTION.times_s)):
             worlds = glb.posed(animation, key)
             places = np.array([worlds[joint][:3, 3] for joint in joints])
