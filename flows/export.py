@@ -79,7 +79,9 @@ def export_result(
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = load_fitted_body(motion, space, body or find_named_body(place.files / RESULT)) if surface else None
         texture = stored_png(place.files / TEXTURE) if (place.files / TEXTURE).exists() else None
-        plate = stored_png(place.files / PLATE) if "glb" in formats and (place.files / PLATE).exists() else None
+        plate = None
+        if set(formats) & set(NEEDS_BODY) and (place.files / PLATE).exists():
+            plate = stored_png(place.files / PLATE)
         exported = Exported(
             motion, cast(BetasSpace, space), model, texture, amass_rate, csv_frame, fps, PLATE if plate else None
         )

@@ -20,7 +20,16 @@ from hfb.body.model import BetasSpace, Body
 from hfb.config import CsvFrame, ExportConfig, MotionFormat
 from hfb.errors import InputError
 from hfb.fitting.alternatives import Alternatives, load_alternatives
-from hfb.interop.writers.export_names import CURVES, FILE_NAMES, PLATE, RECORD, REPORT, RESULT, check_formats
+from hfb.interop.writers.export_names import (
+    CURVES,
+    FILE_NAMES,
+    NEEDS_BODY,
+    PLATE,
+    RECORD,
+    REPORT,
+    RESULT,
+    check_formats,
+)
 from hfb.interop.writers.export_world import describe_world
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
 from hfb.io.atomic import write_bytes_atomic
@@ -229,7 +238,7 @@ class Result:
         """Write motion files for other programs, in world coordinates; it is said where the camera is taken as level.
 
         Args:
-            *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"`` or ``"c3d"``.
+            *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"``, ``"c3d"`` or ``"usd"``.
             folder: where they go; ``export`` in the result's own folder where it was loaded, else in the working
                 directory.
             csv_frame: coordinates in joints.csv.
@@ -249,7 +258,7 @@ class Result:
         target = self._beside(folder, "export")
         png = stored_png(self._files["texture.png"]) if "texture.png" in self._files else None
         fps = to_record(ExportConfig, {"fps": fps}, "export").fps
-        plate = [PLATE] if "glb" in known and (PLATE in self._files or self._fit) else []
+        plate = [PLATE] if set(known) & set(NEEDS_BODY) and (PLATE in self._files or self._fit) else []
         exported = Exported(
             self.motion,
             self.betas_space,

@@ -126,7 +126,7 @@ def write_motion_files(
             files.append(FileHandle.of(write_motion_file(folder, form, exported)))
         except InputError as error:  # the motion is found: a format that cannot hold it does not keep it back
             left_out.append(f"there is no {FILE_NAMES[form]}: {error}")
-    if FILE_NAMES["glb"] in (file.path.name for file in files):
+    if {FILE_NAMES[form] for form in NEEDS_BODY} & {file.path.name for file in files}:
         files.append(FileHandle.of(write_plate(plate, folder / PLATE)))
     return ExportsHandle(files=tuple(files), left_out=tuple(left_out), world=describe_world(moving))
 

@@ -13,14 +13,18 @@ FILE_NAMES: dict[MotionFormat, str] = {
     "csv": "joints.csv",
     "trc": "joints.trc",
     "c3d": "joints.c3d",
+    "usd": "motion.usdz",
 }
 """Name of each format's file in a run's folder."""
 
 FILM_NAMES: dict[Film, str] = {"slowmotion": "slowmotion.mp4", "exact": "exact_time.mp4", "overlay": "overlay.mp4"}
 """Name of each film's file there."""
 
+_LIBRARIES: dict[MotionFormat, tuple[str, str]] = {"c3d": ("c3d", "c3d"), "usd": ("pxr", "usd-core")}
+"""Module and library that a format needs; the extra is called by the format."""
+
 PLATE = "motion_plate.png"
-"""The background behind the person of motion.glb, beside it."""
+"""The background behind the person, beside files with a camera."""
 
 EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), PLATE, *FILM_NAMES.values())
 
@@ -33,8 +37,8 @@ RECORD = "record.json"
 REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 """The page about a result, what its curves show, and its film among the intermediate files."""
 
-NEEDS_BODY: tuple[MotionFormat, ...] = ("glb",)
-"""Formats with a surface; the others need nothing but the motion."""
+NEEDS_BODY: tuple[MotionFormat, ...] = ("glb", "usd")
+"""Formats with a surface and a camera; the others need nothing but the motion."""
 
 
 def check_formats(formats: Sequence[MotionFormat]) -> None:
@@ -46,5 +50,7 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
     Raises:
         InputError: one is missing.
     """
-    if "c3d" in formats and find_spec("c3d") is None:
-        raise InputError("joints.c3d needs the c3d library: pip install 'hfb[c3d]', or leave c3d out of the formats")
+    for form, (module, library) in _LIBRARIES.items():
+        if form in formats and find_spec(module) is None:
+            fix = f"pip install 'hfb[{form}]', or leave {form} out of the formats"
+            raise InputError(f"{FILE_NAMES[form]} needs the {library} library: {fix}")
