@@ -332,7 +332,7 @@ class VideoConfig(Record):
     stages: tuple[Stage, ...] = (Stage(size_px=64, iterations=30), Stage(size_px=128, iterations=40, cosine=True))
 
 
-MotionFormat = Literal["amass", "glb", "bvh", "csv", "trc", "c3d", "usd"]
+MotionFormat = Literal["amass", "glb", "bvh", "csv", "trc", "c3d", "usd", "fbx", "abc"]
 MeshFormat = Literal["obj", "ply"]
 Film = Literal["slowmotion", "exact", "overlay"]
 
@@ -358,7 +358,7 @@ class ExportConfig(Record):
     formats: Annotated[tuple[MotionFormat, ...], BeforeValidator(_words)] = Field(
         ("amass", "glb", "bvh", "csv", "trc"),
         description="motion files, such as glb,bvh: amass, glb, bvh, csv, trc, c3d (needs hfb[c3d]), usd (needs "
-        "hfb[usd]), or none",
+        "hfb[usd]), fbx, abc (both need Blender), or none",
     )
     amass_rate: AmassRate = Field(120, description="poses per second in amass.npz")
     csv_frame: CsvFrame = Field("camera", description="coordinates in joints.csv; the other files are in the world")

@@ -238,7 +238,8 @@ class Result:
         """Write motion files for other programs, in world coordinates; it is said where the camera is taken as level.
 
         Args:
-            *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"``, ``"c3d"`` or ``"usd"``.
+            *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"``, ``"c3d"``, ``"usd"``, ``"fbx"``
+                or ``"abc"``.
             folder: where they go; ``export`` in the result's own folder where it was loaded, else in the working
                 directory.
             csv_frame: coordinates in joints.csv.

@@ -1,7 +1,11 @@
-"""Names of exported files, and the libraries that they need. Light to import."""
+"""Names of exported files, and the libraries and programs that they need. Light to import."""
 
+import os
+import shutil
+import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
+from pathlib import Path
 
 from hfb.config import Film, MotionFormat
 from hfb.errors import InputError
@@ -14,6 +18,8 @@ FILE_NAMES: dict[MotionFormat, str] = {
     "trc": "joints.trc",
     "c3d": "joints.c3d",
     "usd": "motion.usdz",
+    "fbx": "motion.fbx",
+    "abc": "motion.abc",
 }
 """Name of each format's file in a run's folder."""
 
@@ -37,12 +43,30 @@ RECORD = "record.json"
 REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 """The page about a result, what its curves show, and its film among the intermediate files."""
 
-NEEDS_BODY: tuple[MotionFormat, ...] = ("glb", "usd")
+BLENDER = "HFB_BLENDER"
+"""The variable that names Blender's program."""
+
+NEEDS_BODY: tuple[MotionFormat, ...] = ("glb", "usd", "fbx", "abc")
 """Formats with a surface and a camera; the others need nothing but the motion."""
 
 
+def find_blender() -> Path | None:
+    """Return Blender's program, or a Python that has its module; None where there is neither.
+
+    Raises:
+        InputError: the variable names no program.
+    """
+    named = os.environ.get(BLENDER)
+    program = shutil.which(named or "blender")
+    if named and program is None:
+        raise InputError(f"{BLENDER} names no program: {named}; give the path of blender, or of a Python that has bpy")
+    if program is None and find_spec("bpy") is not None:
+        program = sys.executable
+    return Path(program) if program else None
+
+
 def check_formats(formats: Sequence[MotionFormat]) -> None:
-    """Check that libraries for the formats are installed.
+    """Check that libraries and programs for the formats are installed.
 
     Args:
         formats: formats that will be written.
@@ -50,6 +74,11 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
     Raises:
         InputError: one is missing.
     """
+    if {"fbx", "abc"} & set(formats) and find_blender() is None:
+        raise InputError(
+            f"motion.fbx and motion.abc need Blender: install it, or name it in {BLENDER} (blender, or a Python that "
+            "has bpy), or leave fbx and abc out of the formats"
+        )
     for form, (module, library) in _LIBRARIES.items():
         if form in formats and find_spec(module) is None:
             fix = f"pip install 'hfb[{form}]', or leave {form} out of the formats"

@@ -8,6 +8,7 @@ from pathlib import Path
 from hfb.body.model import BetasSpace, Body
 from hfb.config import AmassRate, CsvFrame, ExportConfig, MotionFormat
 from hfb.interop.writers.amass import write_amass
+from hfb.interop.writers.blender import write_by_blender
 from hfb.interop.writers.bvh import write_bvh
 from hfb.interop.writers.c3d_file import write_c3d
 from hfb.interop.writers.export_names import FILE_NAMES
@@ -66,6 +67,8 @@ _WRITERS: dict[MotionFormat, Callable[[Path, Exported], None]] = {
     "amass": lambda path, exported: write_amass(path, exported.motion, exported.betas_space, exported.amass_rate),
     "glb": partial(_write_surface, write_glb),
     "usd": partial(_write_surface, write_usd),
+    "fbx": partial(_write_surface, write_by_blender),
+    "abc": partial(_write_surface, write_by_blender),
     "bvh": lambda path, exported: write_bvh(path, exported.motion),
     "csv": lambda path, exported: write_csv(path, exported.motion, exported.csv_frame),
     "trc": lambda path, exported: write_trc(path, exported.motion),

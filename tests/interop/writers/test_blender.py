@@ -1,5 +1,6 @@
 """motion.glb in Blender itself: play moves the body, and the camera shows it where the picture does."""
 
+import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -8,38 +9,47 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES
+from hfb.errors import InputError
 from hfb.evaluation.protocol import pose_rows
 from hfb.geometry.placement import world_of_pose, world_of_up
 from hfb.geometry.world import World
-from hfb.interop.writers.blender import VARIABLE, find_blender, run_blender
+from hfb.interop.writers.blender import run_blender, write_by_blender
 from hfb.interop.writers.export_camera import camera_of
+from hfb.interop.writers.export_names import BLENDER, check_formats, find_blender
 from hfb.interop.writers.skinned_glb import write_glb
 from hfb.motion.sampled import SampledMotion
 from hfb.rendering.backends import make_rasterizer
 from tests.interop.writers.motions import motion_of
+from tests.interop.writers.test_skinned_glb import _PNG
 
 pytestmark = pytest.mark.integration
 
 BODY = load_default_body()
 _SCRIPT = Path(__file__).with_name("blender_scene.py")
 _HOWTO = Path(__file__).parents[3] / "docs" / "howto" / "blender.md"
+_TO_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # of a level camera: z is up, y ahead
 _SIZE = (160, 120)
 _K = np.array([[175.0, 0, 80], [0, 175, 60], [0, 0, 1]])
 _K_ASKEW = np.array([[175.0, 0, 92], [0, 190, 47], [0, 0, 1]])
 _TURNED = Rotation.from_euler("xyz", [112, 17, -40], degrees=True).as_matrix()
 
 
+def need_blender() -> None:
+    if find_blender() is None:
+        pytest.skip(f"there is no Blender: {BLENDER} names it, or a Python with bpy")
+
+
 def seen_in_blender(glb: Path, *frames: int) -> dict[str, Any]:
     """What `blender_scene.py` found; skips where there is no Blender."""
-    if find_blender() is None:
-        pytest.skip(f"there is no Blender: {VARIABLE} names it, or a Python with bpy")
+    need_blender()
     _, steps = _HOWTO.read_text().split("```python")
     (glb.parent / "steps.py").write_text(steps.partition("```")[0])
-    said = run_blender(_SCRIPT, [str(glb), str(glb.parent / "steps.py"), *map(str, frames)])
+    said = run_blender(_SCRIPT.read_text(), [str(glb), str(glb.parent / "steps.py"), *map(str, frames)])
     (found,) = [line for line in said.splitlines() if line.startswith("FOUND ")]
     return json.loads(found.removeprefix("FOUND "))
 
@@ -83,3 +93,50 @@ def test_play_moves_and_the_camera_overlays(K: np.ndarray, world: World | None, 
 def read_alpha(path: Path) -> np.ndarray:
     """The share of each pixel that is not transparent."""
     return np.asarray(Image.open(path).getchannel("A"), np.float32) / 255
+
+
+_READ = """
+import bpy, json, sys
+name = sys.argv[-1]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+if name.endswith(".fbx"):
+    bpy.ops.import_scene.fbx(filepath=name, anim_offset=0)  # else Blender begins a frame later
+else:
+    bpy.ops.wm.alembic_import(filepath=name)
+scene, seen = bpy.context.scene, []
+(mesh,) = [one for one in bpy.data.objects if one.type == "MESH"]
+for frame in (1, 8, 20):
+    scene.frame_set(frame)
+    shown = mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    seen.append([list(shown.matrix_world @ vertex.co) for vertex in shown.data.vertices])
+cameras = sum(one.type == "CAMERA" for one in bpy.data.objects)
+print("FOUND " + json.dumps([seen, cameras]))
+"""
+
+
+@pytest.mark.parametrize("name", ["motion.fbx", "motion.abc"])
+def test_files_that_blender_writes(name: str, tmp_path: Path) -> None:
+    """The surface at its first, a middle and its last frame, within a millimetre."""
+    need_blender()
+    motion = motion_of(BODY, frames=2)
+    write_by_blender(tmp_path / name, motion, BODY, _PNG)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    (found,) = [line for line in run_blender(_READ, [str(tmp_path / name)]).splitlines() if line.startswith("FOUND ")]
+    seen, cameras = json.loads(found.removeprefix("FOUND "))
+    assert cameras == 1
+    for points, row in zip(seen, (0, 7, 15), strict=True):
+        ours = pose_rows(motion, np.array([row]), BODY).vertices[0].detach().numpy() @ _TO_BLENDER.T
+        apart_m, _ = cKDTree(np.array(points)).query(ours)
+        assert 1000 * apart_m.max() < 1
+
+
+def test_without_blender_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(BLENDER, "/nowhere/blender")
+    with pytest.raises(InputError, match=f"{BLENDER} names no program: /nowhere/blender"):
+        check_formats(["abc"])
+    monkeypatch.delenv(BLENDER)
+    monkeypatch.setenv("PATH", "/nowhere")
+    if importlib.util.find_spec("bpy") is None:
+        with pytest.raises(InputError, match=f"need Blender: install it, or name it in {BLENDER}"):
+            check_formats(["glb", "fbx"])
+    check_formats(["glb"])
