@@ -26,8 +26,12 @@ FILE_NAMES: dict[MotionFormat, str] = {
 FILM_NAMES: dict[Film, str] = {"slowmotion": "slowmotion.mp4", "exact": "exact_time.mp4", "overlay": "overlay.mp4"}
 """Name of each film's file there."""
 
-_LIBRARIES: dict[MotionFormat, tuple[str, str]] = {"c3d": ("c3d", "c3d"), "usd": ("pxr", "usd-core")}
-"""Module and library that a format needs; the extra is called by the format."""
+_LIBRARIES = {
+    "c3d": (FILE_NAMES["c3d"], "c3d", "c3d", "c3d"),
+    "usd": (FILE_NAMES["usd"], "usd", "pxr", "usd-core"),
+    "mot": ("motion.mot", "opensim", "opensim", "opensim"),
+}
+"""File, extra, module and library of formats that need one."""
 
 PLATE = "motion_plate.png"
 """The background behind the person, beside files with a camera."""
@@ -65,7 +69,7 @@ def find_blender() -> Path | None:
     return Path(program) if program else None
 
 
-def check_formats(formats: Sequence[MotionFormat]) -> None:
+def check_formats(formats: Sequence[str]) -> None:
     """Check that libraries and programs for the formats are installed.
 
     Args:
@@ -79,7 +83,7 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
             f"motion.fbx and motion.abc need Blender: install it, or name it in {BLENDER} (blender, or a Python that "
             "has bpy), or leave fbx and abc out of the formats"
         )
-    for form, (module, library) in _LIBRARIES.items():
+    for form, (name, extra, module, library) in _LIBRARIES.items():
         if form in formats and find_spec(module) is None:
-            fix = f"pip install 'hfb[{form}]', or leave {form} out of the formats"
-            raise InputError(f"{FILE_NAMES[form]} needs the {library} library: {fix}")
+            fix = f"pip install 'hfb[{extra}]', or leave {form} out of the formats"
+            raise InputError(f"{name} needs the {library} library: {fix}")
