@@ -30,9 +30,14 @@ for shape in [one for one in bpy.data.objects if one.name.startswith("Icosphere"
     bpy.data.objects.remove(shape)  # how the importer draws bones
 rig = next(one for one in bpy.data.objects if one.type == "ARMATURE")
 scene.frame_start, scene.frame_end = map(round, rig.animation_data.action.frame_range)
-scene.camera = camera = next(one for one in bpy.data.objects if one.type == "CAMERA")
-scene.render.resolution_x, scene.render.resolution_y = camera.data["size_px"]
-camera.data.shift_x, camera.data.shift_y = camera.data["lens_shift"]
+scene.camera = next(one for one in bpy.data.objects if one.type == "CAMERA")
+camera = scene.camera.data
+scene.render.resolution_x, scene.render.resolution_y = (width, height) = camera["size_px"]
+wide, high = camera["focal_px"]
+scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = max(1, high / wide), max(1, wide / high)
+aspect = (width / wide) / (height / high)
+camera.sensor_width, camera.sensor_fit = aspect * camera.sensor_height, "HORIZONTAL"  # all that FBX knows
+camera.shift_x, camera.shift_y = (shift / aspect for shift in camera["lens_shift"])
 if target.endswith(".fbx"):
     bpy.ops.export_scene.fbx(filepath=target, add_leaf_bones=False, bake_anim_use_all_actions=False,
                              bake_anim_use_nla_strips=False, bake_anim_simplify_factor=0, path_mode="COPY",
@@ -57,15 +62,18 @@ def run_blender(script: str, words: Sequence[str]) -> str:
     assert program is not None
     flags = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr"]
     before = ["-c"] if program.name.startswith("python") else flags
-    done = subprocess.run(
-        [program, *before, script, "--", *words],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        errors="replace",
-        timeout=_PATIENCE_S,
-        check=False,
-    )
+    try:
+        done = subprocess.run(
+            [program, *before, script, "--", *words],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_PATIENCE_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise InputError(f"{program} took longer than {_PATIENCE_S} s: export a shorter part, or glb") from None
     if done.returncode:
         raise InputError(f"{program} could not do it: {(done.stderr or done.stdout).strip()[-_SAID:]}")
     return done.stdout

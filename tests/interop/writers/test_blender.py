@@ -33,6 +33,7 @@ BODY = load_default_body()
 _SCRIPT = Path(__file__).with_name("blender_scene.py")
 _HOWTO = Path(__file__).parents[3] / "docs" / "howto" / "blender.md"
 _TO_BLENDER = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # of a level camera: z is up, y ahead
+_MOST_PX = 0.5
 _SIZE = (160, 120)
 _K = np.array([[175.0, 0, 80], [0, 175, 60], [0, 0, 1]])
 _K_ASKEW = np.array([[175.0, 0, 92], [0, 190, 47], [0, 0, 1]])
@@ -97,6 +98,7 @@ def read_alpha(path: Path) -> np.ndarray:
 
 _READ = """
 import bpy, json, sys
+from bpy_extras.object_utils import world_to_camera_view
 name = sys.argv[-1]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 if name.endswith(".fbx"):
@@ -104,30 +106,35 @@ if name.endswith(".fbx"):
 else:
     bpy.ops.wm.alembic_import(filepath=name)
 scene, seen = bpy.context.scene, []
+scene.render.resolution_x, scene.render.resolution_y = 160, 120
+scene.render.pixel_aspect_x = 190 / 175
+(camera,) = [one for one in bpy.data.objects if one.type == "CAMERA"]
 (mesh,) = [one for one in bpy.data.objects if one.type == "MESH"]
 for frame in (1, 8, 20):
     scene.frame_set(frame)
     shown = mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    seen.append([list(shown.matrix_world @ vertex.co) for vertex in shown.data.vertices])
-cameras = sum(one.type == "CAMERA" for one in bpy.data.objects)
-print("FOUND " + json.dumps([seen, cameras]))
+    places = [shown.matrix_world @ vertex.co for vertex in shown.data.vertices]
+    seen.append([[*place, *world_to_camera_view(scene, camera, place)] for place in places])
+print("FOUND " + json.dumps(seen))
 """
 
 
 @pytest.mark.parametrize("name", ["motion.fbx", "motion.abc"])
 def test_files_that_blender_writes(name: str, tmp_path: Path) -> None:
-    """The surface at its first, a middle and its last frame, within a millimetre."""
+    """The surface and how the camera sees it, at its first, a middle and its last frame."""
     need_blender()
-    motion = motion_of(BODY, frames=2)
+    motion = replace(motion_of(BODY, frames=2), K=_K_ASKEW, size=_SIZE)
     write_by_blender(tmp_path / name, motion, BODY, _PNG)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     (found,) = [line for line in run_blender(_READ, [str(tmp_path / name)]).splitlines() if line.startswith("FOUND ")]
-    seen, cameras = json.loads(found.removeprefix("FOUND "))
-    assert cameras == 1
-    for points, row in zip(seen, (0, 7, 15), strict=True):
-        ours = pose_rows(motion, np.array([row]), BODY).vertices[0].detach().numpy() @ _TO_BLENDER.T
-        apart_m, _ = cKDTree(np.array(points)).query(ours)
+    for values, row in zip(json.loads(found.removeprefix("FOUND ")), (0, 7, 15), strict=True):
+        points, views = np.split(np.array(values), 2, axis=1)
+        ours = pose_rows(motion, np.array([row]), BODY).vertices[0].detach().double().numpy()
+        apart_m, nearest = cKDTree(points).query(ours @ _TO_BLENDER.T)
         assert 1000 * apart_m.max() < 1
+        pixels = ours @ _K_ASKEW.T
+        seen = views[nearest, :2] * [1, -1] + [0, 1]
+        assert np.abs(seen * _SIZE - pixels[:, :2] / pixels[:, 2:]).max() < _MOST_PX
 
 
 def test_without_blender_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
