@@ -46,14 +46,14 @@ def slow_factor(motion: SampledMotion, fps: float) -> float:
     return max(1.0, subframe_rate_hz(motion) / fps)
 
 
-def slow_frames(keys: MotionKeys, rate_hz: float) -> Float[Array, "F"]:
+def slow_frames(times_s: Float[Array, "F"], rate_hz: float) -> Float[Array, "F"]:
     """Return the whole frame of each key, from 1 on: the nearest that none before it has.
 
     Args:
-        keys: at increasing instants.
+        times_s: increasing instants of the keys.
         rate_hz: frames per second of the motion's own time.
     """
-    nearest = np.floor((keys.times_s - keys.times_s[0]) * rate_hz + _NEAREST)
+    nearest = np.floor((times_s - times_s[0]) * rate_hz + _NEAREST)
     order = np.arange(len(nearest))
     return 1 + np.maximum.accumulate(nearest - order) + order
 
@@ -80,7 +80,7 @@ def skinned_glb(
     keys, placed = exact_keys(motion), y_up(motion.export_world)
     slow = slow_factor(motion, fps)
     times_s = {
-        f"slow motion {round(slow, 1):g}x": slow_frames(keys, slow * fps) / fps,
+        f"slow motion {round(slow, 1):g}x": slow_frames(keys.times_s, slow * fps) / fps,
         "true time": keys.times_s,
     }
     buffer = GlbBuffer()
