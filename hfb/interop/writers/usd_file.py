@@ -4,6 +4,7 @@ The world is the motion's, in metres with y up; the camera's frame is a transfor
 sub-frame is a sample at its exact time, between the whole frames: time code 0 is the first opening of the shutter.
 """
 
+import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Float
 
 _SENSOR = 0.24  # height, in tenths of a metre as the format has it: 24 mm
+_WHEN = 946_684_800  # 2000-01-01
 _TEXTURE = "texture.png"
 _FRAME = "/motion/camera_frame"
 _PERSON = f"{_FRAME}/person"
@@ -52,7 +54,7 @@ def write_usd(
         InputError: the library is missing, the motion's instants are not in order, or its K has no focal length.
     """
     check_formats(["usd"])
-    from pxr import Gf, Usd, UsdGeom, UsdUtils
+    from pxr import Gf, Sdf, Usd, UsdGeom
 
     keys, placed = exact_keys(motion), y_up(motion.export_world)
     with tempfile.TemporaryDirectory() as private:
@@ -74,7 +76,12 @@ def write_usd(
             (Path(private) / _TEXTURE).write_bytes(texture_png)
         _add_material(stage, texture_png is not None)
         stage.GetRootLayer().Save()
-        UsdUtils.CreateNewUsdzPackage(str(layer), str(package))
+        writer = Sdf.ZipFileWriter.CreateNew(str(package))
+        for part in (layer, Path(private) / _TEXTURE):  # the layer comes first
+            if part.exists():
+                os.utime(part, (_WHEN, _WHEN))  # the package keeps it: the same motion makes the same bytes
+                writer.AddFile(str(part), part.name)
+        writer.Save()
         write_bytes_atomic(path, package.read_bytes())
 
 
