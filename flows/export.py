@@ -9,24 +9,27 @@ from pathlib import Path
 from typing import Any, cast
 
 from hfb.body.model import BetasSpace
-from hfb.config import AmassRate, CameraConfig, CsvFrame, Film, MeshFormat, MotionFormat, WorldUp
+from hfb.config import AmassRate, CameraConfig, CsvFrame, ExportConfig, Film, MeshFormat, MotionFormat, WorldUp
 from hfb.errors import InputError
 from hfb.geometry.world import CALIBRATED, World
-from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
+from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, PLATE, RESULT, check_formats
 from hfb.interop.writers.export_world import describe_world
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.interop.writers.opensim_files import OPENSIM_NAMES, write_opensim
+from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import Clip, read_clip
 from hfb.io.media.images.image_io import stored_png
 from hfb.io.media.lens.camera_pose import clip_world, pose_remarks
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
+from hfb.motion.sampled import SampledMotion
 from hfb.tasks.inputs.out_place import check_no_clip
 from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
 from hfb.tasks.results.workspace import beside_result
 from hfb.tasks.telemetry import progress
 
-MESHES = "meshes"
+MESHES, _OPENSIM = "meshes", "opensim"
 _FOLDER = "export"
 _UNKNOWN = CameraConfig()
 
@@ -42,8 +45,10 @@ def export_result(
     films: Sequence[Film] = (),
     inputs: Path | None = None,
     csv_frame: CsvFrame = "camera",
+    fps: float = ExportConfig().fps,
     camera: CameraConfig = _UNKNOWN,
     clip: Path | None = None,
+    opensim: bool = False,
 ) -> dict[str, Any]:
     """Write a result's motion in several formats, and draw films of it.
 
@@ -57,8 +62,10 @@ def export_result(
         films: which.
         inputs: where to look for images that were moved; they are recognised by their content.
         csv_frame: coordinates in joints.csv.
+        fps: frames per second of the program that opens motion.glb.
         camera: how the camera stands in the world, where the result does not know it, or is wrong.
         clip: a clip.toml that tells the same.
+        opensim: run OpenSim's inverse kinematics; its files go into ``opensim`` below.
 
     Returns:
         ``out``, ``files`` (name: bytes), how many ``meshes``, whose betas they are, and whose ``world``.
@@ -67,8 +74,8 @@ def export_result(
         InputError: there is no such result, it is damaged, a library is missing, the body is not the one fitted, films
             are asked for and the images are gone, or somebody else's files lie where meshes belong.
     """
-    check_formats(formats)
-    with resolve_result(source, (TEXTURE, RESULT)) as place:
+    check_formats([*formats, *(["mot"] if opensim else [])])
+    with resolve_result(source, (TEXTURE, PLATE, RESULT)) as place:
         motion, space = load_motion(place.motion)
         told = read_clip(clip) if clip else Clip()
         world = clip_world(camera, told.camera, told.video.name if told.video else "")
@@ -78,20 +85,34 @@ def export_result(
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = load_fitted_body(motion, space, body or find_named_body(place.files / RESULT)) if surface else None
         texture = stored_png(place.files / TEXTURE) if (place.files / TEXTURE).exists() else None
-        exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate, csv_frame)
+        plate = None
+        if set(formats) & set(NEEDS_BODY) and (place.files / PLATE).exists():
+            plate = stored_png(place.files / PLATE)
+        exported = Exported(
+            motion, cast(BetasSpace, space), model, texture, amass_rate, csv_frame, fps, PLATE if plate else None
+        )
         folder = out or place.new_folder("export", place.folder / _FOLDER)
         if out is None and place.fetched is None:
             check_tree(place.folder, _FOLDER)  # nobody's link may lead the files elsewhere
         check_no_clip(folder)
         check_tree(folder, MESHES)
+        check_tree(folder, _OPENSIM)
         for form in meshes:
             earlier_meshes(folder / MESHES, form)  # what is in their way is said before anything is written
-        names = [*(FILE_NAMES[form] for form in formats), *(FILM_NAMES[film] for film in films)]
+        names = [
+            *(FILE_NAMES[form] for form in formats),
+            *(FILM_NAMES[film] for film in films),
+            *([PLATE] if plate else []),
+        ]
         with beside_result(folder, names) as target:
             written = _draw_films(target, films, place, exported=exported, inputs=inputs) if films else []
             if formats:
                 with progress.step("motion files"):
                     written = [write_motion_file(target, form, exported) for form in formats] + written
+            if plate:
+                write_bytes_atomic(target / PLATE, plate)
+                written.append(target / PLATE)
+        of_opensim = _write_opensim(folder / _OPENSIM, motion) if opensim else {}
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
     facts = describe_world(motion)
     if facts.doubtful:
@@ -99,7 +120,7 @@ def export_result(
     return {
         "out": str(folder.resolve()),
         "meshes": count,
-        "files": {path.name: (folder / path.name).stat().st_size for path in written},
+        "files": {path.name: (folder / path.name).stat().st_size for path in written} | of_opensim,
         "sub_frames": len(motion.times_s),
         "betas_space": space,
         "world": facts.model_dump(),
@@ -136,6 +157,13 @@ def _draw_films(
             with progress.step(f"film ({film})"):
                 written.append(write_film(film, shot, folder))
         return written
+
+
+def _write_opensim(folder: Path, motion: SampledMotion) -> dict[str, int]:
+    """Write OpenSim's files; return their sizes by name."""
+    with progress.step("OpenSim"), beside_result(folder, OPENSIM_NAMES) as target:
+        write_opensim(target, motion)
+    return {f"{folder.name}/{name}": (folder / name).stat().st_size for name in OPENSIM_NAMES}
 
 
 def _write_meshes(folder: Path, form: MeshFormat, exported: Exported) -> int:

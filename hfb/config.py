@@ -344,7 +344,7 @@ class VideoConfig(Record):
     stages: tuple[Stage, ...] = (Stage(size_px=64, iterations=30), Stage(size_px=128, iterations=40, cosine=True))
 
 
-MotionFormat = Literal["amass", "glb", "bvh", "csv", "trc", "c3d"]
+MotionFormat = Literal["amass", "glb", "bvh", "csv", "trc", "c3d", "usd", "fbx", "abc"]
 MeshFormat = Literal["obj", "ply"]
 Film = Literal["slowmotion", "exact", "overlay"]
 
@@ -369,10 +369,12 @@ class ExportConfig(Record):
 
     formats: Annotated[tuple[MotionFormat, ...], BeforeValidator(_words)] = Field(
         ("amass", "glb", "bvh", "csv", "trc"),
-        description="motion files, such as glb,bvh: amass, glb, bvh, csv, trc, c3d (with the extra c3d), or none",
+        description="motion files, such as glb,bvh: amass, glb, bvh, csv, trc, c3d and usd (with the extras c3d and "
+        "usd), fbx and abc (both need Blender), or none",
     )
     amass_rate: AmassRate = Field(120, description="poses per second in amass.npz")
     csv_frame: CsvFrame = Field("camera", description="coordinates in joints.csv; the other files are in the world")
+    fps: float = Field(24.0, ge=1, le=1000, description="of the program that opens motion.glb: keys lie on its frames")
     films: Annotated[tuple[Film, ...], BeforeValidator(_words)] = Field(
         ("slowmotion", "overlay"),
         description="videos: slowmotion, exact (one picture per sub-frame, at its true time), overlay, or none",

@@ -14,9 +14,9 @@ from hfb.io.toml_file import to_record
 
 _MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
 _FILMS: tuple[Film, ...] = get_args(Film)
-_ALL = (*get_args(MotionFormat), *_MESHES)
+_ALL = (*get_args(MotionFormat), *_MESHES, "mot")
 _PLACE = ("tilt_deg", "roll_deg", "world_up")
-_RATE = ExportConfig().amass_rate
+_RATE, _FPS = ExportConfig().amass_rate, ExportConfig().fps
 
 
 def add_export_flags(parser: argparse.ArgumentParser) -> None:
@@ -28,9 +28,15 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
     shown = ",".join(ExportConfig().formats)
     add = parser.add_argument
     add("source", metavar="RESULT", help="a result's folder, a motion.npz, or the id of a recorded run")
-    add("--formats", metavar="NAME,...", help=f"of {', '.join(_ALL)}; obj and ply are a mesh per sub-frame [{shown}]")
+    add(
+        "--formats",
+        metavar="NAME,...",
+        help=f"of {', '.join(_ALL)}; obj and ply are a mesh per sub-frame, mot OpenSim's [{shown}]",
+    )
     add("--amass-rate", type=int, choices=(30, 60, 120), help=f"poses per second in amass.npz [{_RATE}]")
     add("--csv-frame", choices=("camera", "world"), default="camera", help="coordinates in joints.csv [camera]")
+    described = ExportConfig.model_fields["fps"].description
+    add("--fps", metavar="X", default=_FPS, help=f"{described} [{_FPS:g}]")
     add("--clip", type=Path, metavar="clip.toml", help="the camera's place in the world, as rotation and translation")
     for name in _PLACE:
         described = CameraConfig.model_fields[name].description
@@ -48,7 +54,7 @@ def export(args: argparse.Namespace) -> None:
         args: the parsed options.
     """
     films = parse_films(args.films)
-    formats, meshes = parse_formats(args.formats) if args.formats or not films else ((), ())
+    formats, meshes, opensim = parse_formats(args.formats) if args.formats or not films else ((), (), False)
     given = {name: getattr(args, name) for name in _PLACE if getattr(args, name) is not None}
     camera = to_record(CameraConfig, given, "options")
     with open_session(args, args.out or output_folder_of(args.source), recorded=False):
@@ -65,14 +71,16 @@ def export(args: argparse.Namespace) -> None:
             films=films,
             inputs=args.inputs,
             csv_frame=args.csv_frame,
+            fps=to_record(ExportConfig, {"fps": args.fps}, "options").fps,
             camera=camera,
             clip=args.clip,
+            opensim=opensim,
         )
     tell(args, result, export_text(result))
 
 
-def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...]]:
-    """Parse a list of formats into (motion files, meshes).
+def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...], bool]:
+    """Parse a list of formats into (motion files, meshes, whether OpenSim's files).
 
     Args:
         words: comma-separated names; None for the defaults.
@@ -81,10 +89,10 @@ def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[Me
         InputError: a name is none of them, or there is none.
     """
     if words is None:
-        return ExportConfig().formats, ()
+        return ExportConfig().formats, (), False
     names = _known(words, _ALL, "format")
-    motion = tuple(cast(MotionFormat, name) for name in names if name not in _MESHES)
-    return motion, tuple(name for name in names if name in _MESHES)
+    motion = tuple(cast(MotionFormat, name) for name in names if name not in (*_MESHES, "mot"))
+    return motion, tuple(name for name in names if name in _MESHES), "mot" in names
 
 
 def parse_films(words: str | None) -> tuple[Film, ...]:
@@ -115,9 +123,9 @@ def export_text(result: Mapping[str, Any]) -> str:
     Args:
         result: as `hfb.flows.export.export_result` returns it.
     """
-    lines = ["", *(f"{name:<14}{size / 1e6:8.2f} MB" for name, size in result["files"].items())]
+    lines = ["", *(f"{name:<22}{size / 1e6:8.2f} MB" for name, size in result["files"].items())]
     if result["meshes"]:
-        lines.append(f"{'meshes/':<14}{result['meshes']:8} files")
+        lines.append(f"{'meshes/':<22}{result['meshes']:8} files")
     return "\n".join([*lines, "", f"result   {result['out']}"])
 
 

@@ -18,13 +18,24 @@ from hfb.api.call_options import name_parameters
 from hfb.api.given_images import errors_of_calls, path_of
 from hfb.body.assets import load_body as load_any_body
 from hfb.body.model import BetasSpace, Body
-from hfb.config import CsvFrame, MotionFormat
+from hfb.config import CsvFrame, ExportConfig, MotionFormat
 from hfb.errors import InputError
 from hfb.fitting.alternatives import Alternatives, load_alternatives
-from hfb.interop.writers.export_names import CURVES, FILE_NAMES, RECORD, REPORT, RESULT, check_formats
+from hfb.interop.writers.export_names import (
+    CURVES,
+    FILE_NAMES,
+    NEEDS_BODY,
+    PLATE,
+    RECORD,
+    REPORT,
+    RESULT,
+    check_formats,
+)
 from hfb.interop.writers.export_world import describe_world
 from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, stored_png
+from hfb.io.toml_file import to_record
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import srgb_to_linear
@@ -38,6 +49,7 @@ from hfb.tasks.core.environment import environment
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_folder import check_result
 from hfb.tasks.inputs.out_place import check_no_clip
+from hfb.tasks.results.exports import write_plate
 from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.result_report import ReportParts, write_page, write_page_film
 from hfb.tasks.results.workspace import beside_result, check_writable, publish, workspace
@@ -45,7 +57,7 @@ from hfb.tasks.telemetry.secrets import hidden_in
 from hfb.tasks.tracking.run_record import RunRecord, keep_for_later, read_kept
 from hfb.typing import Array, Float, Int
 
-_FILES = ("motion.npz", "alternatives.npz", "texture.png", "strip.png", CURVES, "edges.json")
+_FILES = ("motion.npz", "alternatives.npz", "texture.png", PLATE, "strip.png", CURVES, "edges.json")
 _VIEWER_PX = 640
 _log = logging.getLogger(__name__)
 
@@ -184,6 +196,8 @@ class Result:
             check_no_clip(out)
             with workspace(out, keep=False), tempfile.TemporaryDirectory() as private:
                 files, record = dict(self._files), self._record(facts)
+                if self._fit is not None:
+                    files[PLATE] = write_plate(self._fit.shot.clip, Path(private) / PLATE)
                 if record is not None:
                     files[RECORD] = keep_for_later(record, Path(private)).path
                 publish(out, files, facts)
@@ -219,17 +233,21 @@ class Result:
             write_page(parts, self.body, hidden_in(self.facts), environment(), path=made / REPORT, name=name)
         return target / REPORT
 
-    def export(self, *formats: str, folder: str | Path | None = None, csv_frame: CsvFrame = "camera") -> list[Path]:
+    def export(
+        self, *formats: str, folder: str | Path | None = None, csv_frame: CsvFrame = "camera", fps: float = 24.0
+    ) -> list[Path]:
         """Write motion files for other programs, in world coordinates; it is said where the camera is taken as level.
 
         Args:
-            *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"`` or ``"c3d"``.
+            *formats: ``"glb"``, ``"bvh"``, ``"amass"``, ``"csv"``, ``"trc"``, ``"c3d"``, ``"usd"``, ``"fbx"``
+                or ``"abc"``.
             folder: where they go; ``export`` in the result's own folder where it was loaded, else in the working
                 directory.
             csv_frame: coordinates in joints.csv.
+            fps: frames per second of the program that opens motion.glb.
 
         Returns:
-            the files, in the order of the formats.
+            the files, in the order of the formats; the background that motion.glb names lies beside it.
 
         Raises:
             InputError: a format is unknown or its library missing, or the folder cannot be written.
@@ -241,10 +259,24 @@ class Result:
         check_formats(known)
         target = self._beside(folder, "export")
         png = stored_png(self._files["texture.png"]) if "texture.png" in self._files else None
-        exported = Exported(self.motion, self.betas_space, self.body, png, csv_frame=csv_frame)
-        with errors_of_calls(), beside_result(target, [FILE_NAMES[form] for form in known]) as made:
+        fps = to_record(ExportConfig, {"fps": fps}, "export").fps
+        plate = [PLATE] if set(known) & set(NEEDS_BODY) and (PLATE in self._files or self._fit) else []
+        exported = Exported(
+            self.motion,
+            self.betas_space,
+            self.body,
+            png,
+            csv_frame=csv_frame,
+            fps=fps,
+            plate=plate[0] if plate else None,
+        )
+        with errors_of_calls(), beside_result(target, [*(FILE_NAMES[form] for form in known), *plate]) as made:
             for form in known:
                 write_motion_file(made, form, exported)
+            if plate and self._fit is not None:
+                write_plate(self._fit.shot.clip, made / PLATE)
+            elif plate:
+                write_bytes_atomic(made / PLATE, stored_png(self._files[PLATE]))
         if (world := describe_world(self.motion)).doubtful:
             _log.warning(name_parameters(world.says))
         return [target / FILE_NAMES[form] for form in known]

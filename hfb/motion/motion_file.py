@@ -30,6 +30,7 @@ _LARGEST = {
 """Values beyond those of any person in front of a camera, which would cost readers memory or time."""
 
 _SHORTEST_STEP_S = 1e-12
+_WIDEST_PX = 1_000_000
 
 
 def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
@@ -43,6 +44,8 @@ def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
     if (world := motion.world) is not None:
         parts = (world.rotation, world.translation, world.up, world.source)
         known |= {name: np.array(part) for name, part in zip(_WORLD, parts, strict=True)}
+    if motion.size is not None:
+        known["size"] = np.array(motion.size)
     return known | {"betas_space": np.array(betas_space)}
 
 
@@ -79,11 +82,11 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
         InputError: not a motion file, or a damaged one.
     """
     try:
-        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, *_WORLD, "betas_space"))
+        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, *_WORLD, "size", "betas_space"))
         _check(found)
         names = (*_ARRAYS, *(name for name in _OPTIONAL if name in found))
         parts = {name: found[name] for name in names}
-        return SampledMotion(**parts, world=_world(found)), str(found["betas_space"])
+        return SampledMotion(**parts, world=_world(found), size=_size(found)), str(found["betas_space"])
     except FileNotFoundError:
         raise InputError(f"there is no motion file at {path}: name a finished result, or make it again") from None
     except (KeyError, ValueError, OSError) as error:
@@ -133,6 +136,16 @@ def _world(found: Mapping[str, Array]) -> World | None:
     if not all(abs(value) < _LARGEST["trans"] for value in world.translation):
         raise ValueError("its t_world_camera is not finite, or beyond any place")
     return world
+
+
+def _size(found: Mapping[str, Array]) -> tuple[int, int] | None:
+    """Return width and height; None in files that have none. Raises ValueError where they are no image's."""
+    if "size" not in found:
+        return None
+    size = found["size"]
+    if size.shape != (2,) or size.dtype.kind not in "iu" or not ((size > 0) & (size <= _WIDEST_PX)).all():
+        raise ValueError("its size is not the width and height of an image")
+    return int(size[0]), int(size[1])
 
 
 def _check_clock(times_s: Array, frame_index: Array) -> None:

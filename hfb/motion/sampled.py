@@ -29,6 +29,7 @@ class SampledMotion:
         joint_radius_mm: median error of each joint about the pelvis (after one rotation of the sequence), where the
             method estimates it; zero for the pelvis.
         world: of exports; None where nothing is known of it.
+        size: width and height of the full image [px]; None in motions that do not say it.
     """
 
     poses: Float[Array, "R 72"]
@@ -40,6 +41,7 @@ class SampledMotion:
     K: Float[Array, "3 3"]
     joint_radius_mm: Float[Array, "R 24"] | None = None
     world: World | None = None
+    size: tuple[int, int] | None = None
 
     @property
     def export_world(self) -> World:

@@ -65,7 +65,7 @@ def fit_motion(
         own_terms=own_terms,
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
-    save_motion(paths[0], replace(result.motion, world=clip.world), model.betas_space)
+    save_motion(paths[0], replace(result.motion, world=clip.world, size=(clip.width, clip.height)), model.betas_space)
     write_arrays(paths[1], {"texture": result.texture.numpy()})
     write_png(paths[2], observation.to_srgb(result.texture).numpy())
     write_bytes_atomic(paths[3], json.dumps(result.history).encode())

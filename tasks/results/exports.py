@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING, cast
 from hfb.config import ExportConfig, Film, FitConfig, Record
 from hfb.errors import InputError
 from hfb.geometry.world import WorldFacts
-from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY
+from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, PLATE
+from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
@@ -84,7 +86,13 @@ class ShotHandle(Record):
 
 @task("motion files", where="worker")
 def write_motion_files(
-    *, motion: FileHandle, texture: FileHandle | None, body: FileHandle | None, config: ExportConfig, folder: Path
+    *,
+    motion: FileHandle,
+    texture: FileHandle | None,
+    body: FileHandle | None,
+    plate: ClipHandle,
+    config: ExportConfig,
+    folder: Path,
 ) -> ExportsHandle:
     """Write motion files (`hfb.interop.writers`); a format that cannot hold the motion is left out.
 
@@ -92,6 +100,7 @@ def write_motion_files(
         motion: the motion.
         texture: the person's texture as an image.
         body: the user's body model; None for the embedded one.
+        plate: the clip; its frames are not read.
         config: which formats.
         folder: where the files go.
     """
@@ -108,6 +117,8 @@ def write_motion_files(
         texture.path.read_bytes() if texture else None,
         config.amass_rate,
         config.csv_frame,
+        config.fps,
+        PLATE,
     )
     files, left_out = [], []
     for form in dict.fromkeys(config.formats):
@@ -115,7 +126,31 @@ def write_motion_files(
             files.append(FileHandle.of(write_motion_file(folder, form, exported)))
         except InputError as error:  # the motion is found: a format that cannot hold it does not keep it back
             left_out.append(f"there is no {FILE_NAMES[form]}: {error}")
+    if {FILE_NAMES[form] for form in NEEDS_BODY} & {file.path.name for file in files}:
+        files.append(FileHandle.of(write_plate(plate, folder / PLATE)))
     return ExportsHandle(files=tuple(files), left_out=tuple(left_out), world=describe_world(moving))
+
+
+def write_plate(clip: ClipHandle, path: Path) -> Path:
+    """Write a clip's background as an sRGB image without distortion.
+
+    Args:
+        clip: the clip; its frames are not read.
+        path: the file.
+    """
+    from PIL import Image, PngImagePlugin
+
+    from hfb.photometry import linear_to_srgb
+    from hfb.tasks.core.scene import load_image
+
+    plate = load_image(clip.background, clip).clamp(0, 1)
+    shown = (linear_to_srgb(plate) if clip.light == "linear" else plate).mul(255).round().byte()
+    marked = PngImagePlugin.PngInfo()
+    marked.add_text("Software", "hfb")  # else it may be the user's own file, byte for byte, which no result removes
+    encoded = io.BytesIO()
+    Image.fromarray(shown.numpy()).save(encoded, "PNG", pnginfo=marked)
+    write_bytes_atomic(path, encoded.getvalue())
+    return path
 
 
 def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, folder: Path) -> ExportsHandle:
@@ -127,7 +162,14 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
         config: which formats and films.
         folder: where the files go.
     """
-    written = write_motion_files(motion=shot.motion, texture=texture, body=shot.body, config=config, folder=folder)
+    written = write_motion_files(
+        motion=shot.motion,
+        texture=texture,
+        body=shot.body,
+        plate=shot.clip.model_copy(update={"frames": ()}),  # they would be sent to a worker elsewhere
+        config=config,
+        folder=folder,
+    )
     doubts = (written.world.says,) if config.formats and written.world and written.world.doubtful else ()
     for reason in (*written.left_out, *doubts):
         progress.say(f"hfb: {reason}")

@@ -33,7 +33,7 @@ _LOCK, _STAGING = ".lock", "publish"
 _OF_MOTIONS = ("motion.npz", "texture.png", "strip.png", CURVES, "edges.json")  # results of several people have none
 _ONLY_SOMETIMES = ("alternatives.npz", REPORT, RECORD, *EXPORTED_NAMES)  # an earlier result may have had more
 _MATTE = re.compile(r"matte_\d+\.png")
-_FOLDERS = ("cases", "example", "export", "meshes", "methods")
+_FOLDERS = ("cases", "example", "export", "meshes", "methods", "opensim")
 _FOLDER = re.compile(r"(case|person)[_-]\d+")
 
 

@@ -264,7 +264,8 @@ def join_clip(
         longest_fill=longest_fill,
     )
     world = footage.world or world_of_walk(joined.motion)
-    save_motion(folder / "motion.npz", replace(joined.motion, world=world), model.betas_space)
+    motion = replace(joined.motion, world=world, size=(footage.width, footage.height))
+    save_motion(folder / "motion.npz", motion, model.betas_space)
     told = {
         "edges": [asdict(edge) for edge in joined.edges],
         "turned": [asdict(one) for one in joined.turned],

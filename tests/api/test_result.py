@@ -9,6 +9,7 @@ import pytest
 
 import hfb
 from hfb.flows.export import export_result
+from hfb.interop.writers.export_names import PLATE
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.photometry import srgb_to_linear
 from tests.browser import assert_body_moves, browser, opened
@@ -71,7 +72,8 @@ def test_the_commands_read_it(fitted: hfb.Result, tmp_path: Path) -> None:
     made = export_result(str(folder), None, ["glb", "bvh"], [])
     mine = fitted.export("glb", "bvh", folder=tmp_path / "mine")
     assert [path.name for path in mine] == ["motion.glb", "motion.bvh"]
-    assert {path.name: path.stat().st_size for path in mine} == made["files"]
+    files = [*mine, tmp_path / "mine" / PLATE]
+    assert {path.name: path.stat().st_size for path in files} == made["files"]
     assert hfb.load_result(folder).export("csv") == [folder / "export" / "joints.csv"]
 
 

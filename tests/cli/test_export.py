@@ -46,6 +46,19 @@ def test_a_folder(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (result / "texture.png").read_bytes() in (out / "motion.glb").read_bytes()
 
 
+def test_a_rate_for_the_slow_motion(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At the sub-frames' own rate it is no slower than the true time. An older motion's image is guessed from its K."""
+    words = ["export", str(result), "--formats", "glb", "--json"]
+    assert main([*words, "--fps", "350"]) == 0
+    glb = (result / "export" / "motion.glb").read_bytes()
+    document = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])
+    assert [one["name"] for one in document["animations"]] == ["slow motion 1x", "true time"]
+    assert document["cameras"][0]["extras"]["size_px"] == [640, 480]
+    assert "background" not in document["cameras"][0]["extras"]
+    assert main([*words, "--fps", "0"]) == 2
+    assert "fps" in said(capsys)["error"]
+
+
 def test_a_motion_file_and_meshes_on_request(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "other"
     words = [

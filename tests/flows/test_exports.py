@@ -13,7 +13,8 @@ from hfb.config import ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.flows.export import export_result
 from hfb.flows.fit_image import fit_image
-from hfb.interop.writers.export_names import EXPORTED_NAMES, FILE_NAMES
+from hfb.interop.writers.export_names import EXPORTED_NAMES, FILE_NAMES, PLATE
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.motion_file import load_motion
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import FRAMES, begun, finished, run_clip, small_clip, stamps
@@ -40,7 +41,7 @@ def test_motion_files_are_published_recorded_and_taken_away(problem: Problem, st
     out = tmp_path / "out"
     result = run(problem, out, ExportConfig())
     names = {FILE_NAMES[form] for form in ExportConfig().formats}
-    names |= {"slowmotion.mp4", "overlay.mp4"}
+    names |= {PLATE, "slowmotion.mp4", "overlay.mp4"}
     assert exported(out) == names
     artifacts = {path.name for path in (tmp_path / "mlflow-artifacts").rglob("*") if path.is_file()}
     assert names <= artifacts
@@ -49,13 +50,19 @@ def test_motion_files_are_published_recorded_and_taken_away(problem: Problem, st
         assert amass["poses"].shape == (5, 156)  # 1/30 s at 120 per second
         np.testing.assert_allclose(amass["hfb_betas"], motion.betas)
     glb = (out / "motion.glb").read_bytes()
-    facts = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])["asset"]["extras"]
-    assert facts["sub_frames"] == 3
+    document = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])
+    assert document["asset"]["extras"]["sub_frames"] == 3
+    plate = read_picture_srgb(problem.background)
+    assert motion.size == (plate.shape[1], plate.shape[0])
+    assert document["cameras"][0]["extras"]["size_px"] == list(motion.size)
+    assert document["cameras"][0]["extras"]["background"] == PLATE
+    np.testing.assert_allclose(read_picture_srgb(out / PLATE), plate, atol=0.003)
     assert (out / "texture.png").read_bytes() in glb
 
     told = export_result(str(result["mlflow_run_id"])[:8], tmp_path / "fetched", ("glb",), ())
-    assert told["files"] == {"motion.glb": len(glb)}
-    assert (tmp_path / "fetched" / "motion.glb").read_bytes() == glb
+    assert told["files"] == {"motion.glb": len(glb), PLATE: (out / PLATE).stat().st_size}
+    for name in told["files"]:
+        assert (tmp_path / "fetched" / name).read_bytes() == (out / name).read_bytes()
 
     before = (out / "intermediate" / "motion.npz").stat().st_mtime_ns
     fewer = run(problem, out, ExportConfig(formats=("csv",), films=()))
@@ -123,7 +130,7 @@ def test_a_library_that_is_missing_is_said_before_anything_is_computed(
 
 def test_a_clips_films_are_drawn_without_fitting_it_again(store: Path, tmp_path: Path) -> None:
     made, out = small_clip(), begun(tmp_path / "out")
-    names = {FILE_NAMES[form] for form in ExportConfig().formats}
+    names = {PLATE, *(FILE_NAMES[form] for form in ExportConfig().formats)}
     assert exported(out) == names
     before = stamps(out, "window*")
     result = run_clip(made.truth.parent, out, "--export.films", "slowmotion,exact", truth=made.truth)

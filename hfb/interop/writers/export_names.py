@@ -1,7 +1,11 @@
-"""Names of exported files, and the libraries that they need. Light to import."""
+"""Names of exported files, and the libraries and programs that they need. Light to import."""
 
+import os
+import shutil
+import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
+from pathlib import Path
 
 from hfb.config import Film, MotionFormat
 from hfb.errors import InputError, install_advice
@@ -13,13 +17,26 @@ FILE_NAMES: dict[MotionFormat, str] = {
     "csv": "joints.csv",
     "trc": "joints.trc",
     "c3d": "joints.c3d",
+    "usd": "motion.usdz",
+    "fbx": "motion.fbx",
+    "abc": "motion.abc",
 }
 """Name of each format's file in a run's folder."""
 
 FILM_NAMES: dict[Film, str] = {"slowmotion": "slowmotion.mp4", "exact": "exact_time.mp4", "overlay": "overlay.mp4"}
 """Name of each film's file there."""
 
-EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())
+_LIBRARIES = {
+    "c3d": (FILE_NAMES["c3d"], "c3d", "c3d", "c3d"),
+    "usd": (FILE_NAMES["usd"], "usd", "pxr", "usd-core"),
+    "mot": ("motion.mot", "opensim", "opensim", "opensim"),
+}
+"""File, extra, module and library of formats that need one."""
+
+PLATE = "motion_plate.png"
+"""The background behind the person, beside files with a camera."""
+
+EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), PLATE, *FILM_NAMES.values())
 
 RESULT = "result.json"
 """The facts of a finished result; it is there last."""
@@ -32,6 +49,9 @@ REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 
 LINKED_FILES = {
     "motion.glb": "the body with skeleton and texture, for Blender and other viewers of glTF",
+    "motion.usdz": "the same for programs that read USD",
+    "motion.fbx": "the slow motion as Blender writes FBX",
+    "motion.abc": "the slow motion as Blender writes Alembic",
     "motion.bvh": "the skeleton's motion for other rigs",
     "amass.npz": "the motion in AMASS's layout",
     "joints.csv": "positions of the joints as a table",
@@ -47,12 +67,30 @@ LINKED_FILES = {
 }
 """Files beside a page that it links to, and what they are."""
 
-NEEDS_BODY: tuple[MotionFormat, ...] = ("glb",)
-"""Formats with a surface; the others need nothing but the motion."""
+BLENDER = "HFB_BLENDER"
+"""The variable that names Blender's program."""
+
+NEEDS_BODY: tuple[MotionFormat, ...] = ("glb", "usd", "fbx", "abc")
+"""Formats with a surface and a camera; the others need nothing but the motion."""
 
 
-def check_formats(formats: Sequence[MotionFormat]) -> None:
-    """Check that libraries for the formats are installed.
+def find_blender() -> Path | None:
+    """Return Blender's program, or a Python that has its module; None where there is neither.
+
+    Raises:
+        InputError: the variable names no program.
+    """
+    named = os.environ.get(BLENDER)
+    program = shutil.which(named or "blender")
+    if named and program is None:
+        raise InputError(f"{BLENDER} names no program: {named}; give the path of blender, or of a Python that has bpy")
+    if program is None and find_spec("bpy") is not None:
+        program = sys.executable
+    return Path(program) if program else None
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Check that libraries and programs for the formats are installed.
 
     Args:
         formats: formats that will be written.
@@ -60,5 +98,12 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
     Raises:
         InputError: one is missing.
     """
-    if "c3d" in formats and find_spec("c3d") is None:
-        raise InputError(f"joints.c3d needs the c3d library: {install_advice('c3d')}; or leave c3d out of the formats")
+    if {"fbx", "abc"} & set(formats) and find_blender() is None:
+        raise InputError(
+            f"motion.fbx and motion.abc need Blender: install it, or name it in {BLENDER} (blender, or a Python that "
+            "has bpy), or leave fbx and abc out of the formats"
+        )
+    for form, (name, extra, module, library) in _LIBRARIES.items():
+        if form in formats and find_spec(module) is None:
+            fix = f"{install_advice(extra)}; or leave {form} out of the formats"
+            raise InputError(f"{name} needs the {library} library: {fix}")

@@ -1,5 +1,6 @@
 """Joints as tables: joints.csv for spreadsheets, joints.trc for OpenSim."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,7 @@ def marker_table(motion: SampledMotion, placed: Placement) -> tuple[float, Float
     return rate, keys.times_s, places
 
 
-def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
+def trc_text(motion: SampledMotion, name: str = "joints.trc", markers: Sequence[str] = JOINT_NAMES) -> str:
     """Return OpenSim's table: millimetres, y up, the even rate of the sub-frames; NaN while the person was absent.
 
     The world is the motion's; of a calibration with z up, axes are those of Pose2Sim's own .trc files (y, z, x).
@@ -76,6 +77,7 @@ def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
     Args:
         motion: camera coordinates.
         name: file name that the first line states.
+        markers: names of the joints.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -90,7 +92,7 @@ def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
         f"PathFileType\t4\t(X/Y/Z)\t{name}",
         "\t".join((*keys, *original)),
         "\t".join(facts),
-        "\t".join(["Frame#", "Time", *(f"{joint}\t\t" for joint in JOINT_NAMES)]),
+        "\t".join(["Frame#", "Time", *(f"{marker}\t\t" for marker in markers)]),
         "\t".join(["", "", *axes]),
         "",
     ]

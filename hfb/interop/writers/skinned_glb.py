@@ -1,13 +1,15 @@
-"""motion.glb: the person with skin, skeleton, texture and two animations, in real time and in slow motion.
+"""motion.glb: the person with skin, skeleton, texture, camera and two animations, in slow motion and in real time.
 
 The world is the motion's, in glTF's axes (metres, y up); a level camera is at its origin and looks along -z, as glTF's
 own cameras do. One node moves the camera's frame into that world, so that joints and animations below it are those of
-motion.npz. Each animation has one key per sub-frame, at its exact time.
+motion.npz. Each animation has one key per sub-frame: in slow motion, which programs play first, on whole frames of a
+chosen rate from frame 1 on, as programs count them; in real time at its exact instant.
 
 A model's pose correctives (SMPL's pose blend shapes) are no part of a skin: joints are exact with such a body, its
 surface is that of plain linear blend skinning.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,9 @@ import torch
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from hfb.config import ExportConfig
 from hfb.geometry.placement import y_up
+from hfb.interop.writers.export_camera import NEAR_M, aspect_ratio, camera_of, far_m, field_of_view, lens_shift
 from hfb.interop.writers.gltf import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuffer
 from hfb.interop.writers.keys import MotionKeys, exact_keys, subframe_rate_hz
 from hfb.interop.writers.skin import skin_of
@@ -25,32 +29,60 @@ from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Float, Tensor
 
 _WORLD, _PELVIS = 1, 2  # nodes: the mesh, the camera's frame, then the joints
-_SLOW_FPS = 30.0  # in slow motion sub-frames follow at this rate
+_CAMERA = _PELVIS + JOINT_COUNT
+_NEAREST = 0.4999  # halves of frames go down, whatever their rounding errors
+_HALF_TURN = [1.0, 0.0, 0.0, 0.0]  # about x: glTF's cameras look along -z with y up
 _CLAMP = 33071
 _PLAIN_COLOUR = (0.72, 0.66, 0.62, 1.0)
 
 
-def slow_factor(motion: SampledMotion) -> float:
-    """Return how many times slower the second animation is: one sub-frame per film frame.
+def slow_factor(motion: SampledMotion, fps: float) -> float:
+    """Return how many times slower the slow animation is: one sub-frame per film frame.
 
     Args:
         motion: camera coordinates.
+        fps: film frames per second.
     """
-    return max(1.0, subframe_rate_hz(motion) / _SLOW_FPS)
+    return max(1.0, subframe_rate_hz(motion) / fps)
 
 
-def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = None) -> bytes:
+def slow_frames(times_s: Float[Array, "F"], rate_hz: float) -> Float[Array, "F"]:
+    """Return the whole frame of each key, from 1 on: the nearest that none before it has.
+
+    Args:
+        times_s: increasing instants of the keys.
+        rate_hz: frames per second of the motion's own time.
+    """
+    nearest = np.floor((times_s - times_s[0]) * rate_hz + _NEAREST)
+    order = np.arange(len(nearest))
+    return 1 + np.maximum.accumulate(nearest - order) + order
+
+
+def skinned_glb(
+    motion: SampledMotion,
+    body: Body,
+    texture_png: bytes | None = None,
+    fps: float = ExportConfig().fps,
+    plate: str | None = None,
+) -> bytes:
     """Return the file's bytes.
 
     Args:
         motion: camera coordinates.
         body: the model that the motion was fitted with.
         texture_png: the person's texture as an sRGB image; a plain colour where there is none.
+        fps: frames per second of the program that opens it; slow motion has its keys on whole frames.
+        plate: name of the background's file beside this one.
 
     Raises:
-        InputError: the motion's instants are not in order.
+        InputError: the motion's instants are not in order, or its K has no focal length.
     """
     keys, placed = exact_keys(motion), y_up(motion.export_world)
+    slow = slow_factor(motion, fps)
+    times_s = {
+        f"slow motion {round(slow, 1):g}x": slow_frames(keys.times_s, slow * fps) / fps,
+        "true time": keys.times_s,
+    }
     buffer = GlbBuffer()
     betas = torch.from_numpy(motion.betas).to(body.template.dtype)
     rest = body.rest_joints(betas).double().numpy()
@@ -63,15 +95,17 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
             "name": "camera_frame",
             "rotation": np.roll(placed.quaternion(), -1).tolist(),
             "translation": placed.t.tolist(),
-            "children": [_PELVIS],
+            "children": [_PELVIS, _CAMERA],
         },
         *_joint_nodes(motion, keys, rest),
+        {"name": "camera", "camera": 0, "rotation": _HALF_TURN},
     ]
     document = {
-        "asset": {"version": "2.0", "generator": "hfb", "extras": _facts(motion, body)},
+        "asset": {"version": "2.0", "generator": "hfb", "extras": _facts(motion, body, fps)},
         "scene": 0,
         "scenes": [{"nodes": [0, _WORLD]}],
         "nodes": nodes,
+        "cameras": [_camera(motion, fps, plate)],
         "meshes": [{"name": body.name, "primitives": [mesh]}],
         "skins": [
             {
@@ -81,7 +115,7 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
             }
         ],
         "materials": [_material(texture_png is not None)],
-        "animations": _animations(buffer, keys, rest, slow_factor(motion)),
+        "animations": _animations(buffer, keys, rest, times_s),
     }
     if texture_png is not None:
         view = buffer.add_file(texture_png)
@@ -91,7 +125,14 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
     return buffer.glb(document)
 
 
-def write_glb(path: Path, motion: SampledMotion, body: Body, texture_png: bytes | None = None) -> None:
+def write_glb(
+    path: Path,
+    motion: SampledMotion,
+    body: Body,
+    texture_png: bytes | None = None,
+    fps: float = ExportConfig().fps,
+    plate: str | None = None,
+) -> None:
     """Write the file whole or not at all; see `skinned_glb`.
 
     Args:
@@ -99,11 +140,13 @@ def write_glb(path: Path, motion: SampledMotion, body: Body, texture_png: bytes 
         motion: camera coordinates.
         body: the model that the motion was fitted with.
         texture_png: the person's texture as an sRGB image; a plain colour where there is none.
+        fps: frames per second of the program that opens it.
+        plate: name of the background's file beside this one.
     """
-    write_bytes_atomic(path, skinned_glb(motion, body, texture_png))
+    write_bytes_atomic(path, skinned_glb(motion, body, texture_png, fps, plate))
 
 
-def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
+def _facts(motion: SampledMotion, body: Body, fps: float) -> dict[str, Any]:
     """Return the file's `extras`."""
     return {
         "betas": [round(float(beta), 6) for beta in motion.betas],
@@ -111,10 +154,26 @@ def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
         "world": motion.export_world.source,
         "body": body.name,
         "body_licence": body.licence,
-        "slow_factor": round(slow_factor(motion), 9),
+        "fps": fps,
+        "slow_factor": round(slow_factor(motion, fps), 9),
         "frames": len(np.unique(motion.frame_index)),
         "sub_frames": len(motion.times_s),
     }
+
+
+def _camera(motion: SampledMotion, fps: float, plate: str | None) -> dict[str, Any]:
+    """Return the camera; its `extras` are what glTF has no words for, one property each in Blender."""
+    camera = camera_of(motion)
+    extras: dict[str, Any] = {
+        "size_px": [camera.width, camera.height],
+        "focal_px": [camera.fx, camera.fy],
+        "principal_point_px": [camera.cx, camera.cy],
+        "lens_shift": list(lens_shift(camera)),
+        "fps": fps,
+    }
+    view = {"yfov": field_of_view(camera), "aspectRatio": aspect_ratio(camera), "znear": NEAR_M, "zfar": far_m(motion)}
+    extras |= {"background": plate} if plate else {}
+    return {"name": "camera", "type": "perspective", "perspective": view, "extras": extras}
 
 
 def _mesh(buffer: GlbBuffer, body: Body, betas: Float[Tensor, "K"]) -> dict[str, Any]:
@@ -154,13 +213,15 @@ def _joint_nodes(motion: SampledMotion, keys: MotionKeys, rest: Float[Array, "24
     return nodes
 
 
-def _animations(buffer: GlbBuffer, keys: MotionKeys, rest: Float[Array, "24 3"], slow: float) -> list[dict[str, Any]]:
-    """Return both animations of the same poses."""
+def _animations(
+    buffer: GlbBuffer, keys: MotionKeys, rest: Float[Array, "24 3"], times_s: Mapping[str, Float[Array, "F"]]
+) -> list[dict[str, Any]]:
+    """Return animations of the same poses, each with instants of its own."""
     places = buffer.add(_rows(rest[0] + keys.translations))
     turns = [buffer.add(_rows(np.roll(keys.quaternions[:, joint], -1, -1))) for joint in range(JOINT_COUNT)]
     animations = []
-    for name, factor in (("true time", 1.0), (f"slow motion {slow:g}x", slow)):
-        at = buffer.add(_rows(keys.times_s * factor), bounds=True)
+    for name, instants in times_s.items():
+        at = buffer.add(_rows(instants), bounds=True)
         channels = [(_PELVIS, "translation", places)]
         channels += [(_PELVIS + joint, "rotation", turn) for joint, turn in enumerate(turns)]
         animations.append(

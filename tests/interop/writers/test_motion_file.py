@@ -92,6 +92,19 @@ def test_the_world_is_kept_where_it_is_known(tmp_path: Path) -> None:
     assert load_motion(path)[0].world is None
 
 
+@pytest.mark.parametrize("size", [[640], [640, 0], [640.0, 480.0], [640, 1 << 40]])
+def test_the_images_size(size: list[float], tmp_path: Path) -> None:
+    path = tmp_path / "motion.npz"
+    save_motion(path, replace(motion(), size=(640, 480)), "hfb")
+    assert load_motion(path)[0].size == (640, 480)
+    with np.load(path, allow_pickle=False) as file:
+        np.savez(path, **(dict(file) | {"size": np.array(size)}))
+    with pytest.raises(InputError, match="its size is not the width and height of an image"):
+        load_motion(path)
+    save_motion(path, motion(), "hfb")
+    assert load_motion(path)[0].size is None
+
+
 def test_what_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "motion.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("poses.npy", "w") as member:

@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES
+from hfb.errors import InputError
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.interop.writers.skinned_glb import skinned_glb, slow_factor
+from hfb.interop.writers.skinned_glb import skinned_glb, slow_factor, slow_frames
 from tests.interop.writers.motions import motion_of
 
 BODY = load_default_body()
@@ -96,17 +98,19 @@ def in_gltf(points: np.ndarray) -> np.ndarray:
 
 
 def test_joints_at_every_key_of_both_animations(glb: Glb) -> None:
-    true_time, slow_motion = glb.document["animations"]
-    factor = slow_factor(MOTION)
-    assert factor == pytest.approx(350 / 30)
-    assert glb.document["asset"]["extras"]["slow_factor"] == pytest.approx(factor)
+    slow_motion, true_time = glb.document["animations"]
+    assert (slow_motion["name"], true_time["name"]) == ("slow motion 14.6x", "true time")
+    assert glb.document["asset"]["extras"]["slow_factor"] == pytest.approx(slow_factor(MOTION, 24))
+    assert slow_factor(MOTION, 24) == pytest.approx(350 / 24)
+    # 1/30 s are 11.67 steps of 1/350 s: the second exposure begins 12 whole frames after the first
+    shown_s = np.array([*range(1, 9), *range(13, 21)]) / 24
     joints = glb.document["skins"][0]["joints"]
     assert [glb.document["nodes"][joint]["name"] for joint in joints] == list(JOINT_NAMES)
-    for animation, pace in ((true_time, 1.0), (slow_motion, factor)):
+    for animation, at_s in ((true_time, MOTION.times_s), (slow_motion, shown_s)):
         for sampler in animation["samplers"]:
             times_s = glb.array(sampler["input"])
             assert (np.diff(times_s) > 0).all()
-            np.testing.assert_allclose(times_s, MOTION.times_s * pace, atol=1e-6)
+            np.testing.assert_allclose(times_s, at_s, atol=1e-6)
         for key in range(len(MOTION.times_s)):
             worlds = glb.posed(animation, key)
             places = np.array([worlds[joint][:3, 3] for joint in joints])
@@ -151,6 +155,34 @@ def test_what_the_file_says_about_itself(glb: Glb) -> None:
     plain = Glb(skinned_glb(MOTION, BODY)).document
     assert "images" not in plain
     assert "baseColorTexture" not in plain["materials"][0]["pbrMetallicRoughness"]
+
+
+def test_the_camera_looks_where_ours_does() -> None:
+    """From K alone, where the motion does not say the size of its images; the optical axis is off the middle."""
+    K = np.array([[700.0, 0, 350], [0, 720, 220], [0, 0, 1]])
+    document = Glb(skinned_glb(replace(MOTION, K=K, size=(640, 480)), BODY, plate="plate.png")).document
+    (camera,) = document["cameras"]
+    view, extras = camera["perspective"], camera["extras"]
+    node = next(one for one in document["nodes"] if one.get("camera") == 0)
+    turned = Rotation.from_quat(node["rotation"]).inv().apply(MOTION.joints[3])  # glTF's camera looks along -z
+    height = 2 * np.tan(view["yfov"] / 2)
+    seen = turned[:, :2] / -turned[:, 2:] / [height * view["aspectRatio"], height]
+    seen -= np.array(extras["lens_shift"]) / [view["aspectRatio"], 1]
+    projected = MOTION.joints[3] @ K.T
+    np.testing.assert_allclose((0.5 + seen * [1, -1]) * [640, 480], projected[:, :2] / projected[:, 2:], atol=1e-6)
+    assert extras["background"] == "plate.png"
+    (guessed,) = Glb(skinned_glb(MOTION, BODY)).document["cameras"]
+    assert guessed["extras"]["size_px"] == [640, 480]
+    assert guessed["extras"]["lens_shift"] == [0, 0]
+    with pytest.raises(InputError, match="no focal length"):
+        skinned_glb(replace(MOTION, K=np.diag([0.0, 0, 1])), BODY)
+
+
+def test_halves_of_frames_and_close_keys() -> None:
+    """A key has a frame of its own, and the same one whatever rounding its time has."""
+    for noise in (-1e-9, 1e-9):
+        at_s = np.array([0, 1.5 + noise, 2.5 - noise, 3.5 + noise, 3.50005, 9]) / 100
+        np.testing.assert_array_equal(slow_frames(at_s, 100), [1, 2, 3, 4, 5, 10])
 
 
 def test_another_reader_takes_it() -> None:
