@@ -58,7 +58,7 @@ import opensim
 opensim.Logger.removeFileSink()
 opensim.InverseKinematicsTool({SETUP!r}).run()
 """
-"""In a process of its own: beside torch's libraries OpenSim's solver ends the process."""
+"""In a process of its own, because OpenSim's solver can end the one that it runs in."""
 
 _MASS_KG = 1.0  # kinematics need none, the format does
 
