@@ -15,7 +15,7 @@ project = "hfb"
 author = "the authors of hfb"
 version = release = hfb.__version__
 root_doc = "docs/index"
-include_patterns = ["*.md", "docs/**.md", "infra/**.md", "findings/*.md", "tests/*.md"]
+include_patterns = ["*.md", "docs/**.md", "infra/**.md", "findings/*.md", "tests/*.md", "examples/*.md"]
 exclude_patterns = ["build/**", "runs/**", ".venv/**", ".*/**", "**/node_modules/**"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "generated_reference"]

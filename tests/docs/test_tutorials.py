@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
+from hfb.interop.writers.export_names import BLENDER, find_blender
 from tests.documents import ROOT, code_blocks
 
 _TUTORIALS = sorted(path.name for path in (ROOT / "docs" / "tutorials").glob("*.md") if path.stem != "index")
@@ -54,6 +55,18 @@ def test_a_tutorial_runs(name: str, tmp_path: Path, store: Path, monkeypatch: py
             shutil.copy(tmp_path / "cases" / "case_0001" / source, tmp_path / target)
         (readme,) = [code for _, code in code_blocks(ROOT / "README.md", "python")]
         _run(f"python - <<'END'\n{readme}\nEND", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "picture"), [("researcher", "compared"), ("sports_engineer", "upright"), ("artist", "blender")]
+)
+def test_an_example_leaves_its_picture(name: str, picture: str, tmp_path: Path, store: Path) -> None:
+    if name == "artist" and find_blender() is None:
+        pytest.skip(f"Blender is not on the path, and {BLENDER} names none")
+    _run(f"python {ROOT}/examples/{name}.py out", tmp_path)
+    drawn = cv2.imread(str(tmp_path / "out" / f"{picture}.png"))
+    assert min(drawn.shape[:2]) > 100
+    assert drawn.std() > 10
 
 
 def test_a_calibration_by_the_book_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
