@@ -61,6 +61,7 @@ def _listening(port: int) -> socket.socket:
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind((_HOST, port))
+        listening.listen()  # who follows the printed address at once waits for the page, and is not refused
     except OSError as error:
         listening.close()
         raise InputError(f"--port {port} cannot be had ({error.strerror}): give another one, or 0 for any") from None

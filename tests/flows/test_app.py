@@ -20,6 +20,7 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.flows.app.request import MOST_BYTES, MOST_PICTURES, check_request
+from hfb.flows.cli import app_cli
 from hfb.flows.cli.cli import main
 from tests.flows.app_pages import ENDLESS, SHORT, Served, body, served
 from tests.orchestration import Problem, mlflow_rows
@@ -336,6 +337,11 @@ def test_a_port_that_is_taken_is_told(
     assert main(["app", "--port", str(urlsplit(page.url).port), "--out", str(tmp_path / "out")]) == 2
     assert "give another one" in capfd.readouterr().err
     assert main(["app", "--port", "70000"]) == 2
+
+
+def test_who_follows_the_address_at_once_is_not_refused() -> None:
+    with app_cli._listening(0) as listening, socket.create_connection(listening.getsockname(), timeout=5):
+        pass
 
 
 @pytest.mark.usefixtures("store")
