@@ -166,9 +166,15 @@ def find_readout(exposure: ClipExposure, config: ExposureConfig) -> ReadoutRecor
     Args:
         exposure: as in clip.toml.
         config: options of the exposure.
+
+    Raises:
+        InputError: only the direction is told.
     """
     seconds = exposure.readout_s if config.readout_s is None else config.readout_s
-    return ReadoutRecord(seconds=seconds, to=config.readout_to or exposure.readout_to or "down") if seconds else None
+    to = config.readout_to or exposure.readout_to
+    if to is not None and seconds is None:
+        raise InputError(f"readout_to is {to}, but not how long the rows take: give readout_s, too, or leave both out")
+    return ReadoutRecord(seconds=seconds, to=to or "down") if seconds else None
 
 
 def _clip_of_pictures(path: Path, picture: Path) -> Clip:

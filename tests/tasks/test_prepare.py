@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 
 from hfb.config import CameraConfig, ExposureConfig
+from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.io.clip import Clip
 from hfb.io.media.images.image_io import write_png
@@ -63,6 +64,8 @@ def test_a_rolling_shutter_is_told_by_options_or_the_clip(picture: FileHandle) -
     assert told == whole.with_readout(0.5, "right")
     assert load_camera(prepared(picture, clip, readout_s=0.01, readout_to="up")) == whole.with_readout(1.0, "up")
     assert load_camera(prepared(picture, clip, readout_s=0.0)).row_clock is None
+    with pytest.raises(InputError, match="give readout_s, too"):
+        prepared(picture, readout_to="left")
 
 
 def test_a_photographs_own_exposure_where_it_is_asked_for(tmp_path: Path, picture: FileHandle) -> None:
