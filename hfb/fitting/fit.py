@@ -221,16 +221,7 @@ def _run_to_end(problem: Problem, schedule: "_Schedule", clock: StageClock) -> "
 def _fit_batch(
     problems: Sequence[Problem], schedule: "_Schedule", on_progress: Progress | None, batch_size: int
 ) -> list[FitResult]:
-    kinds = {
-        (
-            len(one.first_bodies),
-            one.observation.exposure_s,
-            one.observation.interval_s,
-            one.observation.camera.row_clock,
-            one.identity is None,
-        )
-        for one in problems
-    }
+    kinds = {(len(one.first_bodies), *one.observation.timing, one.identity is None) for one in problems}
     if len(kinds) > 1:
         told = sorted(map(str, kinds))
         raise ValueError(f"fits of several kinds (frames, exposure, interval, row clock, nobody known): {told}")

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from hfb.errors import InputError
-from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.camera import PinholeCamera, RowClock
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.typing import Float, Tensor
 
@@ -33,6 +33,11 @@ class Observation:
     exposure_s: float
     interval_s: float
     light: Literal["linear", "srgb"] = "linear"
+
+    @property
+    def timing(self) -> tuple[float, float, RowClock | None]:
+        """Exposure and interval [s], and the clock of the rows: what fits in one batch share."""
+        return self.exposure_s, self.interval_s, self.camera.row_clock
 
     def to_srgb(self, picture: Float[Tensor, "*t H W 3"]) -> Float[Tensor, "*t H W 3"]:
         """Encode an image in this observation's light as sRGB, as a file stores it.

@@ -205,8 +205,7 @@ def fit_windows(
 
 def _kind(scene: WindowScene) -> tuple[int, bool, float, float, RowClock | None]:
     """Return a key of windows that can be fitted in one batch."""
-    seen, known = scene.observation, scene.identity is not None
-    return len(scene.window.frames), known, seen.exposure_s, seen.interval_s, seen.camera.row_clock
+    return len(scene.window.frames), scene.identity is not None, *scene.observation.timing
 
 
 def _problem(scene: WindowScene, body: Body) -> Problem:
