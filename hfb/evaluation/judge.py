@@ -12,6 +12,7 @@ from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES
 from hfb.datasets.truth import JointTruth, Truth
 from hfb.evaluation.metrics import (
     better_of_both,
+    errors_mm,
     joint_errors_mm,
     motion_errors,
     psnr_db,
@@ -153,23 +154,29 @@ def _movement_scores(
 
 
 def _said(prediction: Prediction, truth: Truth | JointTruth) -> Scores:
-    """Score the method's predicted errors; real video's few joints are not used for it."""
+    """Score the method's predicted errors, on real video by the joints that its truth has."""
     said: Scores = {} if prediction.alternatives is None else dict(direction_row(prediction.alternatives))
     motion = prediction.motion
-    if motion is not None and motion.joint_radius_mm is not None and isinstance(truth, Truth):
-        true = truth.motion.joints[_nearest(motion.times_s, truth.motion.times_s)]
-        said |= joint_row(motion.joints, motion.joint_radius_mm, shipped_confidence().exponent, true)
-    return said
+    if motion is None or motion.joint_radius_mm is None:
+        return said
+    if isinstance(truth, Truth):
+        counted = np.arange(1, motion.joints.shape[1])  # the pelvis is the origin
+        errors = errors_mm(motion.joints, truth.motion.joints[_nearest(motion.times_s, truth.motion.times_s)])[:, 1:]
+    else:
+        counted, true = truth.smpl_joints, truth.joints[_nearest(motion.times_s, truth.times_s)]
+        centre = _centre(counted)
+        if not centre:
+            return said
+        errors = subset_errors(motion.joints[:, counted], true, centre).distances_mm
+    return said | joint_row(errors, motion.joint_radius_mm[:, counted], shipped_confidence().exponent)
 
 
 def _known_joints(
     joints: Float[Array, "R 24 3"], true: Float[Array, "R P 3"], numbers: Int[Array, "P"], frames: int
 ) -> Scores:
-    """Return errors where one side has only some joints; without the pelvis the middle of the hips is the centre."""
-    positions = {int(number): place for place, number in enumerate(numbers)}
-    centre = [_PELVIS] if _PELVIS in positions else list(_HIPS)
-    centres = [positions[number] for number in centre if number in positions]
-    if len(centres) < len(centre):
+    """Return errors where one side has only some joints."""
+    centres = _centre(numbers)
+    if not centres:
         return {}
 
     def error(predicted: Float[Array, "R P 3"], target: Float[Array, "R P 3"]) -> float:
@@ -189,6 +196,13 @@ def _known_joints(
         "depth_mm": errors.depth_mm,
         "joint_errors_mm": [float(value) if np.isfinite(value) else None for value in per_joint],
     }
+
+
+def _centre(numbers: Int[Array, "P"]) -> list[int]:
+    """Return the place of the pelvis among joints, without it of both hips; nothing without these either."""
+    positions = {int(number): place for place, number in enumerate(numbers)}
+    found = next((some for some in ((_PELVIS,), _HIPS) if positions.keys() >= set(some)), ())
+    return [positions[number] for number in found]
 
 
 def _silhouettes(prediction: Prediction, body: Body, truth: Truth) -> Bool[Array, "R H W"] | None:

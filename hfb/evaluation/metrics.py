@@ -94,14 +94,19 @@ class SubsetErrors:
         in_plane_mm: the part of these errors across the view.
         depth_mm: the part along it.
         pa_mpjpe_mm: after a similarity per sub-frame, over those with three known joints or more.
-        joints_mm: MPJPE joint by joint.
+        distances_mm: the errors whose mean is ``mpjpe_mm``; NaN where a joint does not count.
     """
 
     mpjpe_mm: float
     pa_mpjpe_mm: float
     in_plane_mm: float
     depth_mm: float
-    joints_mm: Float[Array, "P"]
+    distances_mm: Float[Array, "R P"]
+
+    @property
+    def joints_mm(self) -> Float[Array, "P"]:
+        """MPJPE joint by joint."""
+        return np.array([_mean_of_known(column) for column in self.distances_mm.T])
 
 
 def subset_errors(
@@ -134,7 +139,7 @@ def subset_errors(
         pa_mpjpe_mm=1000 * _mean_of_known(np.where(similar, np.linalg.norm(pa_residual, axis=-1), np.nan)),
         in_plane_mm=1000 * _mean_of_known(np.where(counted, np.linalg.norm(residual[..., :2], axis=-1), np.nan)),
         depth_mm=1000 * _mean_of_known(np.where(counted, abs(residual[..., 2]), np.nan)),
-        joints_mm=np.array([_mean_of_known(column) for column in errors.T]),
+        distances_mm=errors,
     )
 
 

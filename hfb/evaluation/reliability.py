@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from pandas import DataFrame
 
-from hfb.evaluation.metrics import errors_mm
 from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import radius_factor
 from hfb.typing import Array, Float
@@ -21,18 +20,18 @@ DIRECTION_EDGES: tuple[float, ...] = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Directions are compared group by group of what was said: a probability on an edge belongs to the upper group."""
 
 
-def joint_row(
-    joints: Float[Array, "R 24 3"], radius_mm: Float[Array, "R 24"], exponent: float, true: Float[Array, "R 24 3"]
-) -> dict[str, float]:
-    """Return the entries of a case's row about its radii, over all joints but the pelvis (the origin).
+def joint_row(error_mm: Float[Array, "R P"], radius_mm: Float[Array, "R P"], exponent: float) -> dict[str, float]:
+    """Return the entries of a case's row about its radii; none where no error is known.
 
     Args:
-        joints: joints of the result [m].
-        radius_mm: the radii that hold half of the errors.
+        error_mm: errors of the joints that count (the origin does not); NaN where the truth is not known.
+        radius_mm: the radii that hold half of them.
         exponent: exponent of the law that gives the other probabilities.
-        true: the true joints at the same instants [m].
     """
-    errors, radii = errors_mm(joints, true)[:, 1:], radius_mm[:, 1:]
+    known = np.isfinite(error_mm)
+    if not known.any():
+        return {}
+    errors, radii = error_mm[known], radius_mm[known]
     shares = [float((errors <= radii * radius_factor(level, exponent)).mean()) for level in LEVELS]
     return dict(zip(WITHIN, shares, strict=True)) | {"radius_mm": float(radii.mean())}
 

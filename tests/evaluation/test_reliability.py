@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pandas import DataFrame
 
+from hfb.evaluation.metrics import errors_mm
 from hfb.evaluation.reliability import WITHIN, direction_groups, direction_row, joint_row, reliability_cell
 from hfb.evaluation.tables import summarize, table_markdown
 from hfb.fitting.confidence import radius_factor
@@ -19,13 +20,21 @@ def test_shares_within_a_radius_by_hand() -> None:
     true[:, 0] = 0
     joints = true.copy()
     joints[:, 1:13] *= 1 + 0.01 / np.linalg.norm(true[:, 1:13], axis=-1, keepdims=True)
-    row = joint_row(joints, np.full((6, 24), 5.0), 1.5, true)
+    row = joint_row(errors_mm(joints, true)[:, 1:], np.full((6, 23), 5.0), 1.5)
     assert row["radius_mm"] == 5
     # 11 of 23 joints are right; 10 mm is twice the radius, which holds 1 - 2^-(2^1.5) = 86 %
     assert row["within_p50"] == pytest.approx(11 / 23, abs=0.05)
     assert row["within_p75"] == pytest.approx(11 / 23, abs=0.05)
     assert row["within_p90"] == pytest.approx(1, abs=0.05)
     assert radius_factor(0.75, 1.5) < 2 < radius_factor(0.9, 1.5)
+
+
+def test_what_is_not_known_counts_nowhere() -> None:
+    errors = np.array([[1.0, np.nan], [9.0, 9.0]])
+    row = joint_row(errors, np.array([[5.0, 1.0], [5.0, 5.0]]), 1.5)
+    assert row["within_p50"] == pytest.approx(1 / 3)
+    assert row["radius_mm"] == 5
+    assert joint_row(np.full((2, 2), np.nan), np.ones((2, 2)), 1.5) == {}
 
 
 def test_the_row_of_directions() -> None:
