@@ -86,7 +86,7 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Fit the coefficients of every kind of start and write them, with how well they do on people left out.
+    """Fit the coefficients of the kinds of start that have cases, and measure them on people left out.
 
     Args:
         options: the parsed options.
@@ -101,8 +101,7 @@ def run(options: argparse.Namespace) -> None:
         if not options.directions:
             raise InputError("no answered case: give --simulated, --network and --matte, or --directions")
         return
-    if empty := [kind for kind, cases in known.items() if not cases]:
-        raise InputError(f"no case of {', '.join(empty)}: give --{empty[0]} DIR")
+    known = {kind: cases for kind, cases in known.items() if cases}
     write_confidence(known, new, options.features, options.out / "confidence.json")
     write_trust(known, new, options.out / "directions.json")
 
@@ -130,7 +129,7 @@ def person_of(recording: str) -> str:
 def write_confidence(
     cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], features: str | None, path: Path
 ) -> None:
-    """Fit the coefficients of every kind of start and write them.
+    """Fit the coefficients of the kinds of start that have cases and write them; those of other kinds stay.
 
     The fit is regularised towards the file's ``prior``, whose exponent all kinds share. A kind keeps the prior where it
     is better calibrated on people left out.
@@ -143,9 +142,9 @@ def write_confidence(
     """
     earlier = read_story(path)
     prior = ConfidenceModel(**earlier["prior"])
-    names = features.split(",") if features else list(cases["network"][0].joints.features)
+    names = features.split(",") if features else list(next(iter(cases.values()))[0].joints.features)
     exponent = prior.exponent
-    by_start: dict[str, Any] = {}
+    by_start: dict[str, Any] = earlier["by_start"]
     for kind, some in cases.items():
         known = [replace(case.joints, recording=case.person) for case in some]
         before, model = reliability_of(prior, known), prior
@@ -165,7 +164,7 @@ def write_confidence(
 
 
 def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], path: Path) -> None:
-    """Fit how far the odds of directions can be trusted from every kind of start, and measure on people left out.
+    """Fit how far the odds of directions can be trusted from the same kinds, and measure on people left out.
 
     Args:
         cases: per kind of start, to fit to.
@@ -174,7 +173,6 @@ def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKin
     """
     events = {kind: [event for case in some for event in case.events] for kind, some in cases.items()}
     content = read_story(path)
-    content["trust"] = {}
     for kind, trust in fit_trust(events).items():
         print(kind, "directions of the body, on people left out in turn")
         said_right = _said_of_left_out(events, kind)
