@@ -10,7 +10,7 @@ import logging
 import re
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
@@ -21,14 +21,15 @@ from filelock import FileLock, ReadWriteLock, Timeout
 
 _KEPT_DAYS = 30
 _LARGEST_BYTES = 256 << 20
-_SHORTER_DAYS = (7, 1, 0)  # where a month's history is larger than that
 _SIDE_FILES = ("", "-wal", "-shm", "-journal")
 _SET_ASIDE = ".set-aside-"
 _MIGRATIONS = "server/database/_migrations/versions/sqlite"
 _REVISION = re.compile(r"^revision(?::\s*str)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
 _FOLLOWS = re.compile(r"^down_revision(?::[^=]+)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
 # What has no foreign key to a flow run, with the column that says how old a row is.
-_DATED = {"log": "timestamp", "artifact": "created", "events": "occurred", "event_resources": "occurred"}
+_DATED = {"log": "timestamp", "artifact": "created"}
+_WRITTEN = "%Y-%m-%d %H:%M:%S.%f"  # times, as Prefect's own column type writes them
+_EVENTS = ("events", "event_resources")  # of servers that still wrote them: three quarters of the file
 _log = logging.getLogger(__name__)
 
 
@@ -135,7 +136,9 @@ def remove_old_files(home: Path, current: Path) -> None:
 
 
 def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
-    """Remove history older than a month, or more where the file is too large. No server may be running on it.
+    """Remove events and history older than a month; while the file is too large, also the older half of all runs.
+
+    No server may be running on it.
 
     Args:
         path: the database.
@@ -145,8 +148,11 @@ def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
         return
     with closing(_open(path)) as database:
         database.execute("pragma foreign_keys = on")
-        for days in (_KEPT_DAYS, *_SHORTER_DAYS):
-            _remove_before(database, datetime.now(UTC) - timedelta(days=days))
+        with database:
+            for table in _EVENTS:
+                database.execute(f"delete from {table}")
+        for until in _ends_of_history(database):
+            _remove_until(database, until)
             pages, unused, page_bytes = (
                 database.execute(f"pragma {name}").fetchone()[0]
                 for name in ("page_count", "freelist_count", "page_size")
@@ -157,17 +163,27 @@ def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
             database.execute("vacuum")
 
 
-def _remove_before(database: sqlite3.Connection, when: datetime) -> None:
-    before = (when.strftime("%Y-%m-%d %H:%M:%S.%f"),)  # as Prefect's own column type writes it
+def _ends_of_history(database: sqlite3.Connection) -> Iterator[str]:
+    """Yield until when history is removed: a month ago; then the end of the older half, and so on; then now."""
+    ago, now = (datetime.now(UTC) - timedelta(days=days) for days in (_KEPT_DAYS, 0))
+    yield ago.strftime(_WRITTEN)
+    (runs,) = database.execute("select count(*) from flow_run").fetchone()
+    while runs := runs // 2:
+        older = "select updated from flow_run order by updated desc limit 1 offset ?"
+        yield from database.execute(older, (runs,)).fetchone() or ()
+    yield now.strftime(_WRITTEN)
+
+
+def _remove_until(database: sqlite3.Connection, until: str) -> None:
     with database:
         # task runs, states and inputs go with their flow run
-        count = database.execute("delete from flow_run where updated < ?", before).rowcount
-        database.execute("delete from task_run where flow_run_id is null and updated < ?", before)
+        count = database.execute("delete from flow_run where updated <= ?", (until,)).rowcount
+        database.execute("delete from task_run where flow_run_id is null and updated <= ?", (until,))
         for table, column in _DATED.items():
-            database.execute(f"delete from {table} where {column} < ?", before)
+            database.execute(f"delete from {table} where {column} <= ?", (until,))
         database.execute("delete from artifact_collection where latest_id not in (select id from artifact)")
     if count:
-        _log.info("Prefect's history: %d flow runs from before %s removed", count, when.date())
+        _log.info("Prefect's history: %d flow runs until %s removed", count, until)
 
 
 def _open(path: Path) -> sqlite3.Connection:

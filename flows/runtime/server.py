@@ -191,6 +191,7 @@ def _start_server(api: str, database: str, settings: dict[str, str], log_path: P
         "PREFECT_UI_ENABLED": "0",
         "PREFECT__SERVER_EPHEMERAL": "1",
         "PREFECT__SERVER_FINAL": "1",
+        "PREFECT_SERVER_SERVICES_EVENT_PERSISTER_ENABLED": "false",  # nobody reads them, and they fill the database
         "PREFECT_SERVER_DATABASE_CONNECTION_URL": database,
         "PREFECT_SERVER_DATABASE_MIGRATE_ON_START": "true",
     }

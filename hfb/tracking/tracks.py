@@ -161,10 +161,9 @@ def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice]
         if track.present.sum() < min(_LEAST_SEEN, frames):
             continue
         others = [other for number, other in enumerate(tracks) if number != index]
-        hidden = [
-            max((_overlap(other.boxes[at], box) for other in others), default=0.0) for at, box in enumerate(track.boxes)
-        ]
-        clearest = int(np.argmin(np.where(track.present, hidden, np.inf)))
+        seen = np.flatnonzero(track.present).tolist()  # seconds of an hour that was filmed
+        hidden = {at: max((_overlap(other.boxes[at], track.boxes[at]) for other in others), default=0.0) for at in seen}
+        clearest = min(hidden, key=hidden.__getitem__)
         left, top, right, bottom = (float(side) for side in track.boxes[clearest])
         found.append((track, PersonChoice(box=(left, top, right, bottom), frame=clearest)))
     if not found:

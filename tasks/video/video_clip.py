@@ -189,9 +189,7 @@ def load_footage(handle: FootageHandle) -> Footage:
     Args:
         handle: the clip.
     """
-    from hfb.io.media.footage import Footage
-
-    return Footage(**_numbers(_content(handle.path, handle.sha256)["footage"]))
+    return _described(handle.path, handle.sha256)[0]
 
 
 @contextmanager
@@ -206,12 +204,11 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
     Raises:
         StaleFile: the video, or an image of these frames, is no longer what it was, or was replaced meanwhile.
     """
-    footage = load_footage(handle)
-    given = _content(handle.path, handle.sha256)["given"]
+    footage, _, given = _described(handle.path, handle.sha256)
     if len(given) > 1:
         last = footage.count if stop is None else stop
         given = given[footage.first + start * footage.average : footage.first + last * footage.average]
-    with verify_unchanged(tuple(FileHandle(**one) for one in given)):
+    with verify_unchanged(given):
         yield footage
 
 
@@ -221,15 +218,18 @@ def load_timing(handle: FootageHandle) -> Timing:
     Args:
         handle: the clip.
     """
-    from hfb.io.media.timing import Timing
-
-    return Timing(**_numbers(_content(handle.path, handle.sha256)["timing"]))
+    return _described(handle.path, handle.sha256)[1]
 
 
 @functools.lru_cache(maxsize=1)
-def _content(path: Path, sha256: str) -> dict[str, Any]:
+def _described(path: Path, sha256: str) -> tuple[Footage, Timing, tuple[FileHandle, ...]]:
     """Read footage.json, cached: for a folder of ten thousand images it has megabytes and is read for every chunk."""
-    return dict(json.loads(path.read_bytes()))
+    from hfb.io.media.footage import Footage
+    from hfb.io.media.timing import Timing
+
+    content = json.loads(path.read_bytes())
+    given = tuple(FileHandle(**one) for one in content["given"])
+    return Footage(**_numbers(content["footage"])), Timing(**_numbers(content["timing"])), given
 
 
 def _clip_frames(footage: FootageHandle) -> ClipFrames:

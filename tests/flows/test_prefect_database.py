@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
@@ -225,6 +226,39 @@ def test_it_never_grows_beyond_its_limit(used: Path, tmp_path: Path) -> None:
     prune(path, largest_bytes=empty + (1 << 20))
     assert path.stat().st_size <= empty + (1 << 20)
     assert trouble_with(path, thorough=True) is None
+
+
+def test_of_a_file_that_is_too_large_the_newest_runs_stay(used: Path, tmp_path: Path) -> None:
+    """A night of 2,000 clips made it so: that night's history went with the next command, which took minutes."""
+    path = Path(shutil.copy(used, tmp_path))
+    copies(path, 1500, age_days=0.5)
+    copies(path, 400, age_days=0.01)
+    largest = (used.stat().st_size + path.stat().st_size) // 2
+    prune(path, largest_bytes=largest)
+    assert rows(path)["flow_run"] == 400 + rows(used)["flow_run"]
+    assert path.stat().st_size <= largest
+
+
+def test_events_are_not_kept(used: Path, tmp_path: Path) -> None:
+    """They took three quarters of the file, and no part of hfb reads them."""
+    prefect_api()
+    from prefect import flow, task
+
+    square = task(persist_result=False)(lambda number: number**2)
+    flow(name="squares", persist_result=False)(lambda: [square(number) for number in range(20)])()
+    (path,) = Path(os.environ["PREFECT_HOME"]).glob("prefect-*.db")
+    began, done = time.monotonic(), "select count(*) from task_run where state_type = 'COMPLETED'"
+    with closing(sqlite3.connect(path)) as database:  # the recorder of task runs hears the same events
+        while database.execute(done).fetchone()[0] < 20 and time.monotonic() < began + 60:
+            time.sleep(0.2)
+        assert database.execute(done).fetchone()[0] >= 20
+    assert rows(path)["events"] == 0
+    older = Path(shutil.copy(used, tmp_path))  # of hfb that kept them
+    with closing(sqlite3.connect(older)) as database, database:
+        columns = [row[1] for row in database.execute("pragma table_info(events)")]
+        database.execute(f"insert into events ({', '.join(columns)}) values ({', '.join('2' for _ in columns)})")
+    prune(older)
+    assert rows(older)["events"] == 0
 
 
 def test_databases_that_nobody_uses_go_after_a_month(used: Path, tmp_path: Path) -> None:
