@@ -7,6 +7,7 @@ results lie elsewhere. A damaged one is set aside instead of failing every comma
 from __future__ import annotations
 
 import logging
+import os
 import re
 import sqlite3
 import time
@@ -22,8 +23,11 @@ from filelock import FileLock, ReadWriteLock, Timeout
 _KEPT_DAYS = 30
 _LARGEST_BYTES = 256 << 20
 _SHORTER_DAYS = (7, 1, 0)  # where a month's history is larger than that
+_SHORTER_DAYS_IN_USE = (7, 1, 1 / 24)
+_ENDED = "state_type in ('COMPLETED', 'FAILED', 'CRASHED', 'CANCELLED')"
 _SIDE_FILES = ("", "-wal", "-shm", "-journal")
 _SET_ASIDE = ".set-aside-"
+_ERRORS = "storage"  # a file for every exception that ended a flow or a task
 _MIGRATIONS = "server/database/_migrations/versions/sqlite"
 _REVISION = re.compile(r"^revision(?::\s*str)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
 _FOLLOWS = re.compile(r"^down_revision(?::[^=]+)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
@@ -50,7 +54,7 @@ class PrefectDatabase:
             say: tells the user that a database was set aside.
         """
         self._home, self._say = home, say
-        self.path = home / f"prefect-{version('prefect')}.db"
+        self.path = _path(home)
         self._making = FileLock(home / "tables.lock", thread_local=False)
         self._making.acquire()
         # Shared by all servers; who takes it alone gives it back before the next one may look, see `_making`.
@@ -121,47 +125,64 @@ def trouble_with(path: Path, thorough: bool) -> str | None:
 
 
 def remove_old_files(home: Path, current: Path) -> None:
-    """Remove databases that were set aside, or belong to other versions of Prefect, after a month.
+    """Remove databases that were set aside or belong to other versions of Prefect, and errors it kept, after a month.
 
     Args:
         home: folder of the databases.
         current: the database in use.
     """
-    for path in home.glob("prefect-*.db*"):
+    for path in (*home.glob("prefect-*.db*"), *home.glob(f"{_ERRORS}/*")):
         if not path.name.startswith(current.name) or _SET_ASIDE in path.name:
             with suppress(OSError):
                 if path.is_file() and path.stat().st_mtime < time.time() - _KEPT_DAYS * 86400:
                     path.unlink()
 
 
-def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
-    """Remove history older than a month, or more where the file is too large. No server may be running on it.
+def prune_in_use(largest_bytes: int = _LARGEST_BYTES) -> None:
+    """Remove old history while servers are running: a batch may go on for months.
+
+    Args:
+        largest_bytes: of the history.
+    """
+    with suppress(KeyError, OSError, sqlite3.Error):  # tidying up must not stop a run
+        home = Path(os.environ["PREFECT_HOME"])
+        remove_old_files(home, _path(home))
+        prune(_path(home), largest_bytes, in_use=True)
+
+
+def prune(path: Path, largest_bytes: int = _LARGEST_BYTES, in_use: bool = False) -> None:
+    """Remove history older than a month, or more where it takes too much room.
 
     Args:
         path: the database.
-        largest_bytes: of the file.
+        largest_bytes: of the history; of the file, too, where no server is running.
+        in_use: a server may be running: only runs that ended are removed, and the room is used again by the next ones.
     """
     if not path.is_file():
         return
     with closing(_open(path)) as database:
         database.execute("pragma foreign_keys = on")
-        for days in (_KEPT_DAYS, *_SHORTER_DAYS):
-            _remove_before(database, datetime.now(UTC) - timedelta(days=days))
+        for days in (_KEPT_DAYS, *(_SHORTER_DAYS_IN_USE if in_use else _SHORTER_DAYS)):
+            _remove_before(database, datetime.now(UTC) - timedelta(days=days), _ENDED if in_use else "true")
             pages, unused, page_bytes = (
                 database.execute(f"pragma {name}").fetchone()[0]
                 for name in ("page_count", "freelist_count", "page_size")
             )
             if (pages - unused) * page_bytes <= largest_bytes:
                 break
-        if unused > pages // 2 or pages * page_bytes > largest_bytes:
+        if not in_use and (unused > pages // 2 or pages * page_bytes > largest_bytes):
             database.execute("vacuum")
 
 
-def _remove_before(database: sqlite3.Connection, when: datetime) -> None:
+def _path(home: Path) -> Path:
+    return home / f"prefect-{version('prefect')}.db"
+
+
+def _remove_before(database: sqlite3.Connection, when: datetime, which: str) -> None:
     before = (when.strftime("%Y-%m-%d %H:%M:%S.%f"),)  # as Prefect's own column type writes it
     with database:
         # task runs, states and inputs go with their flow run
-        count = database.execute("delete from flow_run where updated < ?", before).rowcount
+        count = database.execute(f"delete from flow_run where updated < ? and {which}", before).rowcount
         database.execute("delete from task_run where flow_run_id is null and updated < ?", before)
         for table, column in _DATED.items():
             database.execute(f"delete from {table} where {column} < ?", before)
