@@ -177,7 +177,7 @@ def test_intermediate_files_on_a_mount_of_their_own(tmp_path: Path) -> None:
     if subprocess.run(["mount", "--bind", str(folder), str(folder)], capture_output=True).returncode:
         pytest.skip("nothing can be mounted here")
     try:
-        with pytest.raises(InputError, match="is mounted by itself: mount .* as a whole"):
+        with pytest.raises(InputError, match="is mounted by itself"):
             published(tmp_path, {"motion.npz": "2"})
         assert [path.name for path in folder.iterdir() if path.name != "made_motion.npz"] == [".lock"]
     finally:
