@@ -38,6 +38,13 @@ _SLOWEST_UPLOAD_BYTES_S = 250_000
 _MIGRATES_S = 4.0
 _MAKES_TABLES_S = 180.0  # dozens of migrations, on a slow disk or far away
 _SHOWN = 160  # characters of another program's own account, which goes on for lines
+os.environ.setdefault("MLFLOW_CONFIGURE_LOGGING", "false")  # its handler would print tracebacks before our sentences
+
+
+_AUTOFLUSH = (
+    "(raised as a result of Query-invoked autoflush; consider using a session.no_autoflush block if this flush is "
+    "occurring prematurely)"
+)
 
 
 class StoreLost(Exception):
@@ -121,7 +128,7 @@ def usable_store(uri: str) -> Iterator[None]:
         where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"
         what = "check its address and start it" if sqlite_file(uri) is None else "mend it"
         raise TemporaryError(
-            f"{where} cannot be used ({_first_line(error)[:_SHOWN]}): {what}, or set MLFLOW_TRACKING_URI to another"
+            f"{where} cannot be used ({_first_line(error)}): {what}, or set MLFLOW_TRACKING_URI to another"
         ) from error
 
 
@@ -188,6 +195,10 @@ def _revision(engine: Engine) -> str | None:
 
 
 def _first_line(error: BaseException) -> str:
-    text = re.sub(r"^\(\w[\w.]*\)\s*", "", str(error).strip())  # SQLAlchemy begins with the driver's class
+    """Return the beginning of a library's account, from its reason on."""
+    text = str(error).strip().removeprefix(_AUTOFLUSH).lstrip()
+    text = re.sub(r"^\(\w[\w.]*\)\s*", "", text)  # SQLAlchemy begins with the driver's class
+    if "Max retries exceeded" in text:  # of requests, whose reason is the last of its causes
+        text = text.rpartition(": ")[2].strip("\"')")
     lines = text.splitlines()
-    return without_secrets(lines[0] if lines else type(error).__name__)
+    return without_secrets(lines[0] if lines else type(error).__name__)[:_SHOWN]
