@@ -42,7 +42,8 @@ def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
             return
         out.mkdir(parents=True, exist_ok=True)
         with open_folder(out) as descriptor:
-            lock_descriptor(descriptor)  # files of two commands at once would be mixed
+            with suppress(OSError):  # NFS locks no folders
+                lock_descriptor(descriptor)  # files of two commands at once would be mixed
             known = _check_room(out, names)
             now = {name: sha256_of(path) for name, path in made.items()}
             _write(out, {**known, **{name: (*known.get(name, ()), one) for name, one in now.items()}})

@@ -41,12 +41,6 @@ _SHOWN = 160  # characters of another program's own account, which goes on for l
 os.environ.setdefault("MLFLOW_CONFIGURE_LOGGING", "false")  # its handler would print tracebacks before our sentences
 
 
-_AUTOFLUSH = (
-    "(raised as a result of Query-invoked autoflush; consider using a session.no_autoflush block if this flush is "
-    "occurring prematurely)"
-)
-
-
 class StoreLost(Exception):
     """The tracking store could not be reached or written."""
 
@@ -196,9 +190,9 @@ def _revision(engine: Engine) -> str | None:
 
 def _first_line(error: BaseException) -> str:
     """Return the beginning of a library's account, from its reason on."""
-    text = str(error).strip().removeprefix(_AUTOFLUSH).lstrip()
-    text = re.sub(r"^\(\w[\w.]*\)\s*", "", text)  # SQLAlchemy begins with the driver's class
+    # SQLAlchemy begins with a remark on its flushes, and with the driver's class.
+    text = re.sub(r"^(\(raised as [^\n]*\n)?(\(\w[\w.]*\)\s*)?", "", str(error).strip())
     if "Max retries exceeded" in text:  # of requests, whose reason is the last of its causes
-        text = text.rpartition(": ")[2].strip("\"')")
+        text = re.split(r": |\('", text.rpartition("(Caused by ")[2])[-1].partition(" (")[0].strip("\"').")
     lines = text.splitlines()
     return without_secrets(lines[0] if lines else type(error).__name__)[:_SHOWN]
