@@ -12,6 +12,7 @@ from typing import Any
 from hfb.config import RunConfig
 from hfb.errors import InfrastructureError, InputError, ServerLost, TemporaryError
 from hfb.flows.everyone import run_clip
+from hfb.flows.runtime.prefect_database import prune_in_use
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs
 from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.interop.writers.export_names import RESULT
@@ -137,6 +138,7 @@ class _Rounds:
             wait_s = self._wait(stamp, entry, written)
             if wait_s <= 0:
                 entry = self._work(place, stamp)
+                prune_in_use()
                 replaced = stamp_of(place.files, self._options)[0] != stamp
                 if not replaced and (entry is None or entry.status != "failed"):
                     continue

@@ -36,7 +36,7 @@ from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import input_file, networks_at_hand, pose_networks
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.map_task import Outcome, map_task
-from hfb.tasks.results.workspace import publish, workspace
+from hfb.tasks.results.workspace import mark_unfinished, publish, workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.workers.engine import Engine
@@ -224,6 +224,7 @@ def _made(
     sources = find_sources(spec, listing_of(*folders), folder)
     for name, reason in sources.refused.items():
         progress.say(f"left out: {name}: {reason}")
+    mark_unfinished(out)  # of an earlier result some cases would be the old ones, some the new ones
     skipped = dict(sources.refused)
     numbers = range(1, count + 1)
     networks = networks_at_hand() if isinstance(spec, RealSpec) and spec.estimator != "matte" else ()

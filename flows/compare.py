@@ -14,7 +14,6 @@ from markupsafe import Markup
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import MotionDifference, motion_difference
 from hfb.flows.runtime.summary import number_text
-from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
 from hfb.motion.motion_file import load_motion
@@ -24,6 +23,7 @@ from hfb.report.pages.page import small_picture
 from hfb.report.pages.run_page import PageTable, RunLook, run_page
 from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 from hfb.tasks.inputs.out_place import check_no_clip
+from hfb.tasks.results.own_files import put_together
 from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
@@ -235,9 +235,7 @@ def _check_room(folder: Path) -> None:
 
 
 def _publish(folder: Path, page: str, picture: bytes | None, result: dict[str, Any]) -> None:
-    if picture is not None:
-        write_bytes_atomic(folder / PICTURE, picture)
-    else:
+    figures = json.dumps(result, indent=2, allow_nan=False).encode() + b"\n"
+    if picture is None:
         (folder / PICTURE).unlink(missing_ok=True)
-    write_bytes_atomic(folder / PAGE, page.encode())
-    write_bytes_atomic(folder / FIGURES, json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")
+    put_together(folder, {FIGURES: figures, PAGE: page.encode(), **({PICTURE: picture} if picture else {})})

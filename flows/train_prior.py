@@ -13,7 +13,6 @@ from pydantic import Field
 from hfb.config import Record
 from hfb.errors import InputError
 from hfb.flows.runtime.recorded_flow import recorded_flow
-from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.tasks.benchmark.cases import listing_of
 from hfb.tasks.core.environment import code_version
@@ -21,6 +20,7 @@ from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.prior_training import LessonsHandle, TrainedHandle, gather, measure, record_training, train
+from hfb.tasks.results.own_files import put_together
 from hfb.tasks.results.workspace import workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -82,8 +82,8 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
-        write_bytes_atomic(out, trained.path.read_bytes())
-        write_bytes_atomic(out.with_suffix(".json"), json.dumps(about, indent=1, allow_nan=False).encode() + b"\n")
+        told = json.dumps(about, indent=1, allow_nan=False).encode() + b"\n"
+        put_together(out.parent, {out.with_suffix(".json").name: told, out.name: trained.path.read_bytes()})
     return result
 
 

@@ -327,7 +327,8 @@ def _unexpected(error: Exception) -> str:
     from hfb.flows.runtime.server import log_path
 
     logging.getLogger("hfb").exception("unexpected")
-    where = f"the log is {log_path()}" if logging.getLogger().handlers else "no log was kept"
+    is_kept = any(isinstance(one, logging.FileHandler) for one in logging.getLogger().handlers)
+    where = f"the log is {log_path()}" if is_kept else "no log was kept"
     reason = str(error).strip().splitlines()
     return f"unexpected {type(error).__name__}{': ' + reason[0] if reason else ''}; {where}"
 

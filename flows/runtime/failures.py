@@ -20,6 +20,7 @@ from hfb.tasks.telemetry.secrets import shown_address
 from hfb.tasks.workers.engine import WorkerLost
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
 _GOES_ON = "what is finished is kept, and the same command goes on from there"
 _SERVER_ERROR = 500
 _ASK_EVERY_S = 5.0
@@ -102,6 +103,9 @@ def _sentence(error: BaseException, out: Path) -> str | None:
     if isinstance(error, OSError) and error.errno in _FULL:
         where = error.filename or out
         return f"the disk is full, {where} could not be written ({error.strerror}): free some space"
+    if isinstance(error, OSError) and error.errno in _FORBIDDEN:
+        where = f"{error.filename or out} may not be opened or changed ({error.strerror})"
+        return f"{where}: see to whose it is, or choose another --out"
     if isinstance(error, sqlite3.OperationalError) and "full" in str(error):
         return f"the disk is full ({error}): free some space"
     if isinstance(error, PrefectHTTPStatusError) and error.response.status_code >= _SERVER_ERROR:

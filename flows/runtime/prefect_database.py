@@ -7,6 +7,7 @@ results lie elsewhere. A damaged one is set aside instead of failing every comma
 from __future__ import annotations
 
 import logging
+import os
 import re
 import sqlite3
 import time
@@ -21,8 +22,10 @@ from filelock import FileLock, ReadWriteLock, Timeout
 
 _KEPT_DAYS = 30
 _LARGEST_BYTES = 256 << 20
+_ENDED = "state_type in ('COMPLETED', 'FAILED', 'CRASHED', 'CANCELLED')"
 _SIDE_FILES = ("", "-wal", "-shm", "-journal")
 _SET_ASIDE = ".set-aside-"
+_ERRORS = "storage"  # a file for every exception that ended a flow or a task
 _MIGRATIONS = "server/database/_migrations/versions/sqlite"
 _REVISION = re.compile(r"^revision(?::\s*str)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
 _FOLLOWS = re.compile(r"^down_revision(?::[^=]+)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
@@ -51,7 +54,7 @@ class PrefectDatabase:
             say: tells the user that a database was set aside.
         """
         self._home, self._say = home, say
-        self.path = home / f"prefect-{version('prefect')}.db"
+        self.path = _path(home)
         self._making = FileLock(home / "tables.lock", thread_local=False)
         self._making.acquire()
         # Shared by all servers; who takes it alone gives it back before the next one may look, see `_making`.
@@ -122,62 +125,79 @@ def trouble_with(path: Path, thorough: bool) -> str | None:
 
 
 def remove_old_files(home: Path, current: Path) -> None:
-    """Remove databases that were set aside, or belong to other versions of Prefect, after a month.
+    """Remove databases that were set aside or belong to other versions of Prefect, and errors it kept, after a month.
 
     Args:
         home: folder of the databases.
         current: the database in use.
     """
-    for path in home.glob("prefect-*.db*"):
+    for path in (*home.glob("prefect-*.db*"), *home.glob(f"{_ERRORS}/*")):
         if not path.name.startswith(current.name) or _SET_ASIDE in path.name:
             with suppress(OSError):
                 if path.is_file() and path.stat().st_mtime < time.time() - _KEPT_DAYS * 86400:
                     path.unlink()
 
 
-def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
-    """Remove events and history older than a month; while the file is too large, also the older half of all runs.
+def prune_in_use(largest_bytes: int = _LARGEST_BYTES) -> None:
+    """Remove old history while servers are running: a batch may go on for months.
 
-    No server may be running on it.
+    Args:
+        largest_bytes: of the history.
+    """
+    with suppress(KeyError, OSError, sqlite3.Error):  # tidying up must not stop a run
+        home = Path(os.environ["PREFECT_HOME"])
+        remove_old_files(home, _path(home))
+        prune(_path(home), largest_bytes, in_use=True)
+
+
+def prune(path: Path, largest_bytes: int = _LARGEST_BYTES, in_use: bool = False) -> None:
+    """Remove events and history older than a month; while it takes too much room, also the older half of all runs.
 
     Args:
         path: the database.
-        largest_bytes: of the file.
+        largest_bytes: of the history; of the file, too, where no server is running.
+        in_use: a server may be running: only runs that ended are removed, and the room is used again by the next ones.
     """
     if not path.is_file():
         return
     with closing(_open(path)) as database:
         database.execute("pragma foreign_keys = on")
+        which = _ENDED if in_use else "true"
         with database:
             for table in _EVENTS:
                 database.execute(f"delete from {table}")
-        for until in _ends_of_history(database):
-            _remove_until(database, until)
+        for until in _ends_of_history(database, which, to_the_last=not in_use):
+            _remove_until(database, until, which)
             pages, unused, page_bytes = (
                 database.execute(f"pragma {name}").fetchone()[0]
                 for name in ("page_count", "freelist_count", "page_size")
             )
             if (pages - unused) * page_bytes <= largest_bytes:
                 break
-        if unused > pages // 2 or pages * page_bytes > largest_bytes:
+        if not in_use and (unused > pages // 2 or pages * page_bytes > largest_bytes):
             database.execute("vacuum")
 
 
-def _ends_of_history(database: sqlite3.Connection) -> Iterator[str]:
+def _path(home: Path) -> Path:
+    return home / f"prefect-{version('prefect')}.db"
+
+
+def _ends_of_history(database: sqlite3.Connection, which: str, to_the_last: bool) -> Iterator[str]:
     """Yield until when history is removed: a month ago; then the end of the older half, and so on; then now."""
     ago, now = (datetime.now(UTC) - timedelta(days=days) for days in (_KEPT_DAYS, 0))
     yield ago.strftime(_WRITTEN)
-    (runs,) = database.execute("select count(*) from flow_run").fetchone()
+    (runs,) = database.execute(f"select count(*) from flow_run where {which}").fetchone()
     while runs := runs // 2:
-        older = "select updated from flow_run order by updated desc limit 1 offset ?"
+        older = f"select updated from flow_run where {which} order by updated desc limit 1 offset ?"
         yield from database.execute(older, (runs,)).fetchone() or ()
-    yield now.strftime(_WRITTEN)
+    if to_the_last:
+        yield now.strftime(_WRITTEN)
 
 
-def _remove_until(database: sqlite3.Connection, until: str) -> None:
+def _remove_until(database: sqlite3.Connection, until: str, which: str) -> None:
     with database:
         # task runs, states and inputs go with their flow run
-        count = database.execute("delete from flow_run where updated <= ?", (until,)).rowcount
+        count = database.execute(f"delete from flow_run where updated <= ? and {which}", (until,)).rowcount
         database.execute("delete from task_run where flow_run_id is null and updated <= ?", (until,))
         for table, column in _DATED.items():
             database.execute(f"delete from {table} where {column} <= ?", (until,))

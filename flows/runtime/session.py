@@ -77,7 +77,13 @@ def open_session(args: argparse.Namespace, out: Path, recorded: bool = True) -> 
     with serve_metrics(), progress.showing(*displays.displays_for(quiet=args.quiet)), results_alone_on_stdout():
         if remark:
             progress.say(f"hfb: {remark}")
-        yield
+        try:
+            yield
+        except OSError:
+            from hfb.flows.runtime.failures import explain_failures
+
+            with explain_failures(out):
+                raise
 
 
 def output_folder_of(source: str) -> Path:

@@ -42,7 +42,7 @@ def report(packages: list[dict[str, Any]]) -> tuple[list[str], int]:
     lines = [*holes, f"make audit: {looked_up}"]
     if unknown:
         lines.append(f"make audit: not known to the index, look them up yourself: {', '.join(unknown)}")
-    return lines, 1 if holes or unknown else 0
+    return lines, 1 if holes or unknown or not packages else 0
 
 
 if __name__ == "__main__":

@@ -11,5 +11,10 @@ mkdir -p "$to.part"
 for database in prefect mlflow mlflow_auth; do
     $IN_POSTGRES pg_dump --username hfb --format custom "$database" > "$to.part/$database.dump"
 done
-$IN_STORE tar -c -f - -C "${STORE_FOLDER:-/data}" . > "$to.part/store.tar"
+# GNU tar ends with 1 where files change meanwhile; an archive that was cut off lacks the zeros at its end.
+$IN_STORE tar -c -f - -C "${STORE_FOLDER:-/data}" . > "$to.part/store.tar" || [ $? -eq 1 ]
+if [ ! -s "$to.part/store.tar" ] || [ -n "$(tail -c 1024 "$to.part/store.tar" | tr -d '\0')" ]; then
+    echo "backup: the files of all runs could not be read to their end" >&2
+    exit 1
+fi
 mv "$to.part" "$to"

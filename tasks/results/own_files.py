@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import lock_descriptor
+
 from hfb.errors import InputError, TemporaryError
-from hfb.io.atomic import write_bytes_atomic
-from hfb.io.safe_folder import check_ordinary, is_regular, read_file
+from hfb.io.atomic import sync_folder, write_bytes_atomic
+from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, read_file
 from hfb.tasks.core.handles import sha256_of
 
 OWN_FILES = ".hfb-files.json"
+_STAGING = ".hfb-part"
 _LIMIT_BYTES = 1 << 20
 
 
@@ -34,14 +37,52 @@ def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         yield Path(folder)
         made = {name: Path(folder) / name for name in names if is_regular(Path(folder) / name)}
-        known = _check_room(out, names)
         if not made:
+            _check_room(out, names)
             return
-        now = {name: sha256_of(path) for name, path in made.items()}
-        _write(out, {**known, **{name: (*known.get(name, ()), one) for name, one in now.items()}})
-        for name, path in made.items():
-            write_bytes_atomic(out / name, path.read_bytes())
-        _write(out, {**known, **{name: (one,) for name, one in now.items()}})
+        out.mkdir(parents=True, exist_ok=True)
+        with open_folder(out) as descriptor:
+            with suppress(OSError):  # NFS locks no folders
+                lock_descriptor(descriptor)  # files of two commands at once would be mixed
+            known = _check_room(out, names)
+            now = {name: sha256_of(path) for name, path in made.items()}
+            _write(out, {**known, **{name: (*known.get(name, ()), one) for name, one in now.items()}})
+            put_together(out, {name: path.read_bytes() for name, path in made.items()})
+            _write(out, {**known, **{name: (one,) for name, one in now.items()}})
+
+
+def put_together(out: Path, files: Mapping[str, bytes]) -> None:
+    """Put files into a folder: a full disk leaves the old ones, a kill some of the old ones or of the new, never both.
+
+    Args:
+        out: the folder.
+        files: name -> content; the first one is never missing.
+    """
+    check_tree(out, _STAGING)
+    staged = {name: out / _STAGING / name for name in files}
+    try:
+        for name, data in files.items():
+            write_bytes_atomic(staged[name], data)
+        replace_together(out, staged)
+    finally:
+        for path in staged.values():
+            path.unlink(missing_ok=True)
+        with suppress(OSError):  # something else lies in it
+            (out / _STAGING).rmdir()
+
+
+def replace_together(out: Path, files: Mapping[str, Path]) -> None:
+    """Move files into their folder as `put_together` does.
+
+    Args:
+        out: the folder.
+        files: name -> current place, on the same disk; the first one is never missing.
+    """
+    for name in list(files)[1:]:
+        (out / name).unlink(missing_ok=True)
+    for name, path in files.items():
+        path.replace(out / name)
+    sync_folder(out)
 
 
 def _check_room(out: Path, names: Sequence[str]) -> dict[str, tuple[str, ...]]:

@@ -6,6 +6,7 @@ OUT/intermediate/                                                   files that t
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -20,12 +21,12 @@ from filelock import lock_descriptor
 
 from hfb.errors import Busy, InputError, TemporaryError
 from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
-from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
+from hfb.io.atomic import leftover_of, sync_folder, temporary_beside, write_bytes_atomic
 from hfb.io.names import is_text
 from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
 from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.core.result_folder import UNFINISHED, read_result_content
-from hfb.tasks.results.own_files import among_own_files
+from hfb.tasks.results.own_files import among_own_files, replace_together
 from hfb.tasks.telemetry.secrets import hidden_in
 
 INTERMEDIATE = "intermediate"
@@ -68,6 +69,7 @@ def workspace(out: Path, keep: bool = True) -> Iterator[Path]:
             check_tree(out, INTERMEDIATE)
             _check_names(out)
             _remove_leftovers(out, folder)
+            _check_moves(out, folder)
             yield folder
     except InputError as error:
         if keep and isinstance(error, OutputConflict):
@@ -106,6 +108,21 @@ def _remove_leftovers(out: Path, folder: Path) -> None:
             ours = name is not None and (place == folder or _is_a_name_of_hfb(name))
             if ours and entry.is_file(follow_symlinks=False):
                 (place / entry.name).unlink(missing_ok=True)
+
+
+def _check_moves(out: Path, folder: Path) -> None:
+    """Raise TemporaryError if files cannot be moved out of the folder, as out of another disk or a mounted folder."""
+    probe = temporary_beside(folder / RESULT)
+    probe.touch()
+    try:
+        probe.replace(out / probe.name).unlink()
+    except OSError as error:
+        probe.unlink()
+        if error.errno != errno.EXDEV:
+            raise
+        raise TemporaryError(
+            f"{folder} is mounted by itself: mount {out} as a whole, or choose another --out"
+        ) from None
 
 
 def check_writable(out: Path) -> None:
@@ -214,8 +231,7 @@ def _move_beside(out: Path, made: Mapping[str, Path], earlier: _Published) -> No
     if earlier.complete:
         result["sha256"] |= {name: [*earlier.sha256.get(name, ()), one] for name, one in new.items()}
     write_bytes_atomic(out / RESULT, _as_json(result))
-    for name, path in made.items():
-        path.replace(out / name)
+    replace_together(out, made)
     if earlier.complete:
         result["sha256"] |= new
         write_bytes_atomic(out / RESULT, _as_json(result))

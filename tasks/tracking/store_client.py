@@ -38,6 +38,7 @@ _SLOWEST_UPLOAD_BYTES_S = 250_000
 _MIGRATES_S = 4.0
 _MAKES_TABLES_S = 180.0  # dozens of migrations, on a slow disk or far away
 _SHOWN = 160  # characters of another program's own account, which goes on for lines
+os.environ.setdefault("MLFLOW_CONFIGURE_LOGGING", "false")  # its handler would print tracebacks before our sentences
 
 
 class StoreLost(Exception):
@@ -121,7 +122,7 @@ def usable_store(uri: str) -> Iterator[None]:
         where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"
         what = "check its address and start it" if sqlite_file(uri) is None else "mend it"
         raise TemporaryError(
-            f"{where} cannot be used ({_first_line(error)[:_SHOWN]}): {what}, or set MLFLOW_TRACKING_URI to another"
+            f"{where} cannot be used ({_first_line(error)}): {what}, or set MLFLOW_TRACKING_URI to another"
         ) from error
 
 
@@ -188,6 +189,10 @@ def _revision(engine: Engine) -> str | None:
 
 
 def _first_line(error: BaseException) -> str:
-    text = re.sub(r"^\(\w[\w.]*\)\s*", "", str(error).strip())  # SQLAlchemy begins with the driver's class
+    """Return the beginning of a library's account, from its reason on."""
+    # SQLAlchemy begins with a remark on its flushes, and with the driver's class.
+    text = re.sub(r"^(\(raised as [^\n]*\n)?(\(\w[\w.]*\)\s*)?", "", str(error).strip())
+    if "Max retries exceeded" in text:  # of requests, whose reason is the last of its causes
+        text = re.split(r": |\('", text.rpartition("(Caused by ")[2])[-1].partition(" (")[0].strip("\"').")
     lines = text.splitlines()
-    return without_secrets(lines[0] if lines else type(error).__name__)
+    return without_secrets(lines[0] if lines else type(error).__name__)[:_SHOWN]

@@ -2,6 +2,9 @@
 
 import json
 import os
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -188,6 +191,29 @@ def test_what_a_killed_export_left_is_hfbs(
         assert main(words) != 0
     assert written == [OWN_FILES, "motion.bvh"]
     assert main(words) == 0
+
+
+@pytest.mark.parametrize("trouble", ["a folder of others", "a full disk"])
+def test_a_disk_that_takes_nothing_is_a_sentence(trouble: str, result: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / ".hfb-part").mkdir(parents=True)
+    as_user = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search"] if os.getuid() == 0 else []
+    if as_user and shutil.which("setpriv") is None:
+        pytest.skip("root may write everywhere")
+    if trouble == "a folder of others":
+        (out / ".hfb-part").chmod(0o555)
+    elif subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", str(out)], capture_output=True).returncode:
+        pytest.skip("no disk can be mounted here")
+    command = [*as_user, sys.executable, "-m", "hfb.flows.cli.cli", "export", str(result), "--out", str(out)]
+    try:
+        done = subprocess.run([*command, "--formats", "bvh,csv"], capture_output=True, text=True)
+        assert not [path for path in out.rglob("*") if path.is_file() and path.name != OWN_FILES]
+    finally:
+        subprocess.run(["umount", "--lazy", str(out)], capture_output=True)
+    assert done.returncode == 1, done.stderr
+    sentence = done.stderr.splitlines()[-1]
+    assert ("free some space" if trouble == "a full disk" else "see to whose it is") in sentence
+    assert "unexpected" not in sentence
 
 
 def test_a_page_in_a_folder_of_the_users(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -57,8 +57,8 @@ def before_each_step(told: Callable[[int], None]) -> Iterator[list[int]]:
             setattr(os, name, function)
 
 
-def kill_at_each_step(publish: Callable[..., None], out: Path, files: Mapping[str, Path], result: Any) -> int:
-    """Publish into copies of a folder; the first is left to end."""
+def kill_at_each_step(change: Callable[[Path], Any], out: Path) -> int:
+    """Change copies of a folder; the first is left to end."""
 
     def kill(number: int, at: int) -> None:
         if number == at:
@@ -66,13 +66,13 @@ def kill_at_each_step(publish: Callable[..., None], out: Path, files: Mapping[st
 
     shutil.copytree(out, f"{out}-whole")
     with before_each_step(lambda _: None) as count:
-        publish(Path(f"{out}-whole"), files, dict(result))
+        change(Path(f"{out}-whole"))
     for at in range(1, count[0] + 1):
         shutil.copytree(out, f"{out}-{at}")
         process = os.fork()
         if process == 0:
             with before_each_step(lambda number, at=at: kill(number, at)):
-                publish(Path(f"{out}-{at}"), files, dict(result))
+                change(Path(f"{out}-{at}"))
             os._exit(0)
         assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == -signal.SIGKILL
     return count[0]
@@ -84,7 +84,11 @@ def main(kind: str, out: Path, inputs: list[Path]) -> None:
     module = sys.modules["hfb.flows.video" if kind == "video" else "hfb.flows.fit_image"]
     publish = module.publish
     counted = []
-    module.publish = lambda *given: counted.append(kill_at_each_step(publish, *given))  # type: ignore[attr-defined]
+
+    def killed(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> None:
+        counted.append(kill_at_each_step(lambda copy: publish(copy, files, dict(result)), out))
+
+    module.publish = killed  # type: ignore[attr-defined]
     run(kind, out, inputs, new=True)
     print(f"steps {counted[0]}")
 

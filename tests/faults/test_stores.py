@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -233,3 +234,27 @@ def test_a_result_that_is_not_as_it_was(
     refused("run its own command again")
     assert main(["record", str(tmp_path / "none")]) == 2
     assert "result.json" in capsys.readouterr().err
+
+
+def test_a_store_that_goes_in_the_middle_costs_a_sentence(
+    problem: Problem, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, out = tmp_path / "gone", tmp_path / "out"
+    folder.mkdir()
+    shutil.copy(store, folder / "mlflow.db")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{folder}/mlflow.db")
+    command = [sys.executable, "-m", "hfb.flows.cli.cli", "fit", str(problem.frame), "--background"]
+    command += [str(problem.background), "--out", str(out), *TINY_OPTIONS]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as fit:
+        said = []
+        for line in fit.stderr or ():
+            if line.startswith("matte") and folder.exists():
+                shutil.rmtree(folder)
+            said.append(line)
+    assert fit.returncode == 0, said
+    (sentence,) = [line for line in said if "not recorded in MLflow" in line]
+    assert "raised as a result" not in sentence
+    assert f"`hfb record {out}` records it" in sentence
+    assert not [line for line in said if "Traceback" in line or "ERROR" in line], said
+    folder.mkdir()
+    assert_recorded_later(out, f"sqlite:///{folder}/mlflow.db", capsys)

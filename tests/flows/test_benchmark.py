@@ -1,6 +1,9 @@
 """The judge, whole: cases are made, methods run on them, and the tables hold what happened."""
 
 import json
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +19,16 @@ from hfb.flows.benchmark import BenchmarkPlan, run_benchmark, run_synthesis
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
+from hfb.tasks.core.result_folder import is_unfinished
 from tests.orchestration import mlflow_rows
 
+_OTHER_SEED = """
+import sys
+from pathlib import Path
+from hfb.datasets.set_spec import SetSpec
+from hfb.flows.benchmark import run_synthesis
+run_synthesis(SetSpec(set="bt-amass", size_px=64, seed=4), 2, Path(sys.argv[1]), 1)
+"""
 TINY_TOML = """
 preset = "best"
 [fit]
@@ -126,6 +137,21 @@ def test_cases_alone(store: Path, tmp_path: Path) -> None:
     assert run_synthesis(SetSpec(set="bt-amass", size_px=64, seed=3, frames=2), 1, tmp_path / "again", 1)["count"] == 1
     again = load_case(tmp_path / "again" / "case_0001")  # files of its own, not the first folder's
     assert [path.read_bytes() for path in again.frame_paths()] == [path.read_bytes() for path in case.frame_paths()]
+
+
+def test_cases_of_two_sets_are_told_after_a_kill(store: Path, tmp_path: Path) -> None:
+    out, facts = tmp_path / "out", tmp_path / "out" / "case_0001" / "case.json"
+    run_synthesis(SetSpec(set="bt-amass", size_px=64, seed=3), 2, out, 1)
+    process = subprocess.Popen([sys.executable, "-c", _OTHER_SEED, str(out)], cwd=Path(__file__).parents[2])
+    while not facts.exists() or json.loads(facts.read_text())["seed"] == 3:
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert is_unfinished(out)
+    run_synthesis(SetSpec(set="bt-amass", size_px=64, seed=4), 2, out, 1)
+    assert not is_unfinished(out)
+    assert [load_case(path).facts["seed"] for path in sorted(out.glob("case_*"))] == [4, 4]
 
 
 def write_motion(path: Path, broken: float | None = None) -> None:

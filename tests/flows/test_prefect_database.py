@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from hfb.flows.runtime.prefect_database import PrefectDatabase, prune, remove_old_files, trouble_with
+from hfb.flows.runtime.prefect_database import PrefectDatabase, prune, prune_in_use, remove_old_files, trouble_with
 from tests.orchestration import prefect_api
 
 SERVER = """
@@ -271,10 +271,15 @@ def test_databases_that_nobody_uses_go_after_a_month(used: Path, tmp_path: Path)
     for path in (*others, current):
         path.touch()
         os.utime(path, (month_ago, month_ago))
-    recent = tmp_path / "prefect-3.1.0.db"
+    recent, errors = tmp_path / "prefect-3.1.0.db", tmp_path / "storage"
     recent.touch()
+    errors.mkdir()
+    (errors / "new").touch()
+    (errors / "old").touch()
+    os.utime(errors / "old", (month_ago, month_ago))
     remove_old_files(tmp_path, current)
-    assert {path.name for path in tmp_path.iterdir()} == {current.name, recent.name, "mine.txt"}
+    assert {path.name for path in tmp_path.iterdir()} == {current.name, recent.name, "mine.txt", "storage"}
+    assert [path.name for path in errors.iterdir()] == ["new"]
 
 
 def test_a_database_in_use_is_not_pruned(used: Path, tmp_path: Path) -> None:
@@ -285,3 +290,23 @@ def test_a_database_in_use_is_not_pruned(used: Path, tmp_path: Path) -> None:
     PrefectDatabase(tmp_path, no_words)
     assert rows(path) == before
     del first
+
+
+def test_what_a_long_batch_leaves_is_bounded(used: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a watched folder: servers run all the time, and what still runs stays."""
+    path = Path(shutil.copy(used, tmp_path))
+    monkeypatch.setenv("PREFECT_HOME", str(tmp_path))
+    _in_use = PrefectDatabase(tmp_path, no_words)
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("update flow_run set state_type = 'RUNNING', updated = '2020-01-01 00:00:00.000000'")
+        database.commit()
+    running = rows(path)["flow_run"]
+    for age_days in (40, 40, 0.1):
+        copies(path, 2000, age_days)
+        with closing(sqlite3.connect(path)) as database:
+            database.execute("update flow_run set state_type = 'COMPLETED' where updated > '2021-01-01'")
+            database.commit()
+        prune_in_use(used.stat().st_size + (1 << 20))
+        assert rows(path)["flow_run"] == running
+        size = path.stat().st_size
+    assert size < used.stat().st_size + (12 << 20)

@@ -7,11 +7,16 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
+from hfb.body.assets import load_default_body
 from hfb.errors import InputError
+from hfb.flows.export import export_result
+from hfb.motion.motion_file import save_motion
 from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.core.result_folder import check_result, is_unfinished
 from tests.flows.test_workspace import published
+from tests.interop.writers.motions import motion_of
 from tests.orchestration import is_finished
 
 _SCRIPT = """
@@ -21,7 +26,16 @@ from hfb.tasks.results.workspace import publish, workspace
 from tests.faults.killed_publish import kill_at_each_step
 out, made = Path(sys.argv[1]), {path.name: path for path in Path(sys.argv[2]).iterdir()}
 with workspace(out):
-    print(kill_at_each_step(publish, out, made, {"out": str(out), "number": 2}))
+    print(kill_at_each_step(lambda copy: publish(copy, made, {"out": str(copy), "number": 2}), out))
+"""
+_EXPORT = """
+import sys
+from pathlib import Path
+from hfb.flows.export import export_result
+from tests.faults.killed_publish import kill_at_each_step
+export = lambda copy: export_result(sys.argv[2], copy, ("csv", "bvh", "trc"), ())
+export(Path(sys.argv[1] + "-first"))  # libraries' caches are no step
+print(kill_at_each_step(export, Path(sys.argv[1])))
 """
 
 
@@ -79,3 +93,28 @@ def test_every_moment(tmp_path: Path, before: str) -> None:
     assert states == sorted(states, key=[0 if states[0] == 0 else 1, 0, 2].index if states[0] else [0, 2].index)
     assert states.count(0) > 5
     assert states[-1] == 2
+
+
+@pytest.mark.parametrize("place", ["a result", "a folder"])
+def test_exports_are_of_one_motion(tmp_path: Path, place: str) -> None:
+    out, motion = tmp_path / "out", tmp_path / "motion.npz"
+    if place == "a result":
+        published(out, {"strip.png": "1"})
+    body = load_default_body(torch.float64)
+    save_motion(motion, motion_of(body), "hfb")
+    export_result(str(motion), out, ("csv", "bvh", "trc"), ())
+    save_motion(motion, motion_of(body, frames=1), "hfb")
+    done = subprocess.run(
+        [sys.executable, "-c", _EXPORT, str(out), str(motion)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert done.returncode == 0, done.stderr
+    old, new = contents(out), contents(Path(f"{out}-whole"))
+    assert all(old[name] != new[name] for name in ("joints.csv", "motion.bvh", "joints.trc"))
+    for number in range(1, int(done.stdout) + 1):
+        found = contents(Path(f"{out}-{number}")).items()
+        assert found <= old.items() or found <= new.items(), number
+        export_result(str(motion), Path(f"{out}-{number}"), ("csv", "bvh", "trc"), ())
+        assert contents(Path(f"{out}-{number}")) == new, number

@@ -1,13 +1,17 @@
 """What a result may take the place of: what earlier results left, and nothing of the user's."""
 
 import json
+import subprocess
+import threading
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hfb.errors import InputError
 from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.results import workspace as place
 from hfb.tasks.results.workspace import OutputConflict, beside_result, publish, workspace
@@ -164,3 +168,36 @@ def test_names_in_a_result_lead_nowhere_else(tmp_path: Path) -> None:
     published(out, {"motion.npz": "1"})
     assert held(out) == {"notes.txt": "mine", "motion.npz": "1"}
     assert (tmp_path / "overlay.mp4").exists()
+
+
+def test_intermediate_files_on_a_mount_of_their_own(tmp_path: Path) -> None:
+    """Files cannot be renamed across mounts: said before anything is computed or replaced."""
+    published(tmp_path, {"motion.npz": "1"})
+    folder = tmp_path / "intermediate"
+    if subprocess.run(["mount", "--bind", str(folder), str(folder)], capture_output=True).returncode:
+        pytest.skip("nothing can be mounted here")
+    try:
+        with pytest.raises(InputError, match="is mounted by itself"):
+            published(tmp_path, {"motion.npz": "2"})
+        assert [path.name for path in folder.iterdir() if path.name != "made_motion.npz"] == [".lock"]
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+    assert held(tmp_path) == {"motion.npz": "1"}
+    published(tmp_path, {"motion.npz": "2"})
+    assert held(tmp_path) == {"motion.npz": "2"}
+
+
+def test_two_exports_at_once(tmp_path: Path) -> None:
+    """The files in the end are of one of them."""
+
+    def export(content: str) -> None:
+        with beside_result(tmp_path, names) as place:
+            for name in names:
+                (place / name).write_text(content)
+            both.wait()
+
+    names, both = [f"matte_{number}.png" for number in range(40)], threading.Barrier(2)
+    for _ in range(3):
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(export, ("1", "2")))
+        assert len({(tmp_path / name).read_text() for name in names}) == 1

@@ -48,6 +48,7 @@ def test_an_unknown_package_is_named_at_the_end(tmp_path: Path) -> None:
     ]
     assert _said(tmp_path, [_UNKNOWN, _GOOD]).returncode == 1  # nobody looked: no pass
     assert _said(tmp_path, [_GOOD]).returncode == 0
+    assert _said(tmp_path, []).returncode == 1
 
 
 def test_an_index_that_does_not_answer_is_one_sentence(tmp_path: Path) -> None:

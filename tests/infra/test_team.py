@@ -235,6 +235,32 @@ def test_a_backup_brings_everything_back(here: Team, deployed: dict[str, str], t
     assert (here.folder / "files" / "one").read_text() == "kept"
 
 
+_WRITES = """
+import itertools, sys
+from pathlib import Path
+for number in itertools.count():
+    Path(sys.argv[1], f"new-{number}").touch()
+    Path(sys.argv[1], f"new-{number}").unlink()
+"""
+
+
+def test_a_store_that_stops_in_the_middle_is_no_backup(here: Team, tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store" / "one").write_bytes(bytes(range(256)) * 400)
+    (tmp_path / "cut").write_text('#!/bin/sh\n"$@" | head -c 50000\nexit 1\n')
+    (tmp_path / "cut").chmod(0o755)
+    environment = pg_environment(here) | {
+        "IN_POSTGRES": "env",
+        "IN_STORE": str(tmp_path / "cut"),
+        "STORE_FOLDER": str(tmp_path / "store"),
+    }
+    command = [str(ROOT / "infra" / "compose" / "backup.sh"), str(tmp_path / "backup")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "could not be read to their end" in done.stderr
+    assert not (tmp_path / "backup").exists()
+
+
 def test_the_nightly_job_of_kubernetes_makes_a_backup(here: Team, deployed: dict[str, str], tmp_path: Path) -> None:
     """Its own command line, with this machine's folders in place of its mounts."""
     (job,) = [
@@ -244,7 +270,8 @@ def test_the_nightly_job_of_kubernetes_makes_a_backup(here: Team, deployed: dict
     ]
     (container,) = job["spec"]["jobTemplate"]["spec"]["template"]["spec"]["containers"]
     (tmp_path / "store").mkdir()
-    (tmp_path / "store" / "one").write_text("kept")
+    for number in range(300):
+        (tmp_path / "store" / str(number)).write_bytes(bytes(200_000))
     old = [tmp_path / "backups" / f"20{number:02d}-01-01T023000" for number in range(15)]
     for folder in (*old, tmp_path / "backups" / "2020-01-01T023000.part"):
         folder.mkdir(parents=True)
@@ -263,7 +290,9 @@ def test_the_nightly_job_of_kubernetes_makes_a_backup(here: Team, deployed: dict
     environment |= {"PGHOST": here.addresses["postgres"], "HFB_SECRETS": f"{here.folder}/secrets"}
     del environment["PGPASSWORD"]  # it comes from its file
     command = [here_of(word) for word in (*container["command"], *container["args"])]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    with subprocess.Popen([sys.executable, "-c", _WRITES, str(tmp_path / "store")]) as runs:  # meanwhile
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        runs.kill()
     assert done.returncode == 0, done.stderr
     *kept, made = sorted((tmp_path / "backups").iterdir())
     assert [one.name for one in kept] == [one.name for one in old[2:]]  # fourteen with the new one

@@ -111,6 +111,20 @@ def test_stages_that_are_none_leave_the_curves(result: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "curves",
+    [
+        {"frames": {"_iou": [[0, 0.9], [1, 0.95]]}},
+        {"frames": {"a$\\frac{$": [[0, 0.9], [1, 0.95]]}},
+        {"losses": {"_a": [1.0], "$\\b$": [2.0, 1.0]}},
+        {"losses": {"total": [0.0, -1.0]}},
+    ],
+)
+def test_curves_of_any_name_and_height(curves: dict[str, Any], result: Path) -> None:
+    (result / "curves.json").write_text(json.dumps(curves))
+    assert len(curve_charts(read_curves(result / "curves.json"), FACTS)) == 1
+
+
+@pytest.mark.parametrize(
     ("name", "value"),
     [
         ("times_s", 1e300),

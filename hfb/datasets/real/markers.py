@@ -189,7 +189,7 @@ def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float
     except ValueError as error:
         raise InputError(f"{path}: line {number} holds something that is no number ({str(error)[:80]}).") from None
     if not math.isfinite(time_s) or not 0 <= time_s < 1e6:
-        raise InputError(f"{path}: line {number} has the time {cells[1]}; times are seconds from 0.")
+        raise InputError(f"{path}: line {number} has the time {cells[1][:40]}; times are seconds from 0.")
     return time_s, point
 
 

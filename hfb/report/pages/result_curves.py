@@ -19,6 +19,7 @@ _LABELS = {"matte_iou": "IoU with the matte", "psnr_db": "PSNR of the re-blurred
 _MOST_TERMS, _MOST_FIGURES, _MOST_STAGES = 200, 20, 100
 _MOST_VALUES = 1 << 24  # of all windows: a table of windows times iterations
 _Value = Annotated[float, Field(ge=-1e30, le=1e30)]
+_Name = Annotated[str, Field(max_length=80)]
 _Loss = Annotated[list[_Value | None], Field(max_length=10**6)]
 _FrameValue = tuple[Annotated[int, Field(ge=0, le=10**9)], _Value]
 
@@ -32,10 +33,10 @@ class _Window(_Stored):
 
 
 class _Curves(_Stored):
-    losses: Annotated[dict[str, _Loss], Field(max_length=_MOST_TERMS)] = {}
+    losses: Annotated[dict[_Name, _Loss], Field(max_length=_MOST_TERMS)] = {}
     windows: list[_Window] = []
     frames: Annotated[
-        dict[str, Annotated[list[_FrameValue], Field(max_length=10**6)]], Field(max_length=_MOST_FIGURES)
+        dict[_Name, Annotated[list[_FrameValue], Field(max_length=10**6)]], Field(max_length=_MOST_FIGURES)
     ] = {}
 
 

@@ -78,15 +78,17 @@ def png(figure: Any, *every: Any, columns: int = 6) -> bytes:
         columns: most columns of the legend.
     """
     handles, labels = every[0].get_legend_handles_labels()
-    named = len(labels)
-    figure.legend(
-        handles,
-        labels,
-        loc="outside upper center",
-        ncols=math.ceil(named / math.ceil(named / columns)),
-        frameon=False,
-        fontsize=_FONT_POINTS,
-    )
+    if named := len(labels):
+        legend = figure.legend(
+            handles,
+            labels,
+            loc="outside upper center",
+            ncols=math.ceil(named / math.ceil(named / columns)),
+            frameon=False,
+            fontsize=_FONT_POINTS,
+        )
+        for text in legend.get_texts():
+            text.set_parse_math(False)  # names come from files and users
     for axes in every:
         axes.xaxis.label.set_size(_FONT_POINTS)
         axes.yaxis.label.set_size(_FONT_POINTS)

@@ -72,6 +72,19 @@ def test_what_is_square_or_not_believed_stays(tmp_path: Path, aspect: Fraction) 
     assert np.array_equal(next(footage.frames()), next(plain.frames()))
 
 
+def test_a_stream_without_a_size_is_refused(tmp_path: Path) -> None:
+    data = bytearray(write_video(tmp_path / "whole.mp4", [ball(1)] * 3).read_bytes())
+    entry, pixels = data.index(b"avc1", data.index(b"stsd")), data.index(b"mdat")
+    data[entry + 28 : entry + 32] = bytes(4)  # its width and height
+    for start in (data.index(b"avcC"), pixels):  # what else tells them
+        size = struct.unpack_from(">I", data, start - 4)[0]
+        data[start + 4 : start - 4 + size] = bytes(size - 8)
+    path = tmp_path / "a.mp4"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="convert it to"):
+        open_footage(path)
+
+
 def test_a_background_out_of_the_same_video_fits(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     scene = np.kron(rng.integers(40, 200, (4, 5, 3)), np.ones((24, 24, 1))).astype(np.uint8)

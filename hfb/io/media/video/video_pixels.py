@@ -118,6 +118,8 @@ def pixel_aspect(stream: av.VideoStream, crop: Crop = WHOLE) -> float:
         crop: see `hfb.io.media.video.clean_aperture.clean_aperture`.
     """
     aspect, (height, width) = float(stream.sample_aspect_ratio or 1), (stream.height, stream.width)
+    if not height * width:  # nothing could be decoded, which is said where frames are read
+        return 1.0
     shown = (width - crop[2] - crop[3]) / width / ((height - crop[0] - crop[1]) / height)
     if abs(aspect / shown - 1) < _AS_GOOD_AS_SQUARE:
         return 1.0
