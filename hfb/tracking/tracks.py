@@ -251,11 +251,12 @@ def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Tr
     """
     rows = read_rows(path)
     known = sorted({name for _, name, _ in rows})
+    listed = ", ".join(name[:40] for name in known[:12])
     if track_id is None and len(known) != 1:
-        raise InputError(f"{path}: holds {len(known)} people; choose one with person.id: {', '.join(known[:12])}.")
+        raise InputError(f"{path}: holds {len(known)} people; choose one with person.id: {listed}.")
     wanted = known[0] if track_id is None else str(track_id)
     if wanted not in known:
-        raise InputError(f"{path}: has no track {wanted}; it has {', '.join(known[:12])}.")
+        raise InputError(f"{path}: has no track {wanted[:40]}; it has {listed}.")
     boxes = np.full((frames.count, 4), np.nan)
     for frame, name, box in rows:
         number = frames.place(frame, box) if name == wanted else None

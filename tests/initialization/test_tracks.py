@@ -308,6 +308,16 @@ def test_tracks_of_other_systems(tmp_path: Path, name: str, text: str) -> None:
         read_track(tmp_path / name, "7", ClipFrames(2))
 
 
+def test_people_of_long_names_are_told_shortly(tmp_path: Path) -> None:
+    names = [str(number) + "x" * 5000 for number in range(3)]
+    rows = "".join(f"0,{name},1,2,3,4\n" for name in names)
+    (tmp_path / "a.csv").write_text(f"frame,id,left,top,width,height\n{rows}")
+    for wanted in (None, "y" * 5000):
+        with pytest.raises(InputError) as told:
+            read_track(tmp_path / "a.csv", wanted, ClipFrames(4))
+        assert len(str(told.value)) - len(str(tmp_path)) < 300
+
+
 def test_tracks_as_arrays(tmp_path: Path) -> None:
     box = np.array([[1.0, 2, 3, 4], [5, 6, 7, 8]])
     np.savez(tmp_path / "t.npz", frame=[1, 2], id=["a", "a"], box=box)

@@ -209,3 +209,12 @@ def test_offsets_of_joints_are_said() -> None:
     offsets = truth_offsets_mm(tuple(range(24)))
     assert offsets["left_hip"] == offsets["right_shoulder"] == (20, 50)
     assert set(offsets) == {"left_hip", "right_hip", "left_shoulder", "right_shoulder"}
+
+
+def test_an_endless_time_is_told_shortly(tmp_path: Path) -> None:
+    write_trc(tmp_path / "a.trc", _points(), _NAMES, 60)
+    lines = (tmp_path / "a.trc").read_text().splitlines()
+    lines[6] = "\t".join([lines[6].split("\t")[0], "9" * 5000, *lines[6].split("\t")[2:]])
+    (tmp_path / "a.trc").write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"line 7 has the time 9{40};"):
+        read_trc(tmp_path / "a.trc")
