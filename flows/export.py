@@ -14,8 +14,9 @@ from hfb.errors import InputError
 from hfb.geometry.world import CALIBRATED, World
 from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, PLATE, RESULT, check_formats
 from hfb.interop.writers.export_world import describe_world
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
-from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.interop.writers.motion_exports import write_motion_file
 from hfb.interop.writers.opensim_files import OPENSIM_NAMES, write_opensim
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import Clip, read_clip

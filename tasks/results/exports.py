@@ -105,7 +105,8 @@ def write_motion_files(
         folder: where the files go.
     """
     from hfb.interop.writers.export_world import describe_world
-    from hfb.interop.writers.motion_exports import Exported, write_motion_file
+    from hfb.interop.writers.exported import Exported
+    from hfb.interop.writers.motion_exports import write_motion_file
     from hfb.motion.motion_file import load_motion
     from hfb.tasks.core.scene import load_chosen_body
 
