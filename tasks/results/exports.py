@@ -171,7 +171,8 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
         config=config,
         folder=folder,
     )
-    doubts = (written.world.says,) if config.formats and written.world and written.world.doubtful else ()
+    world = written.world if config.formats else None
+    doubts = (world.says,) if world and (world.doubtful or world.floor) else ()
     for reason in (*written.left_out, *doubts):
         progress.say(f"hfb: {reason}")
     films = tuple(dict.fromkeys(config.films))
