@@ -11,17 +11,20 @@ from typing import Any, cast
 from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, CameraConfig, CsvFrame, ExportConfig, Film, MeshFormat, MotionFormat, WorldUp
 from hfb.errors import InputError
+from hfb.geometry.placement import with_floor
 from hfb.geometry.world import CALIBRATED, World
 from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, PLATE, RESULT, check_formats
 from hfb.interop.writers.export_world import describe_world
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
-from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.interop.writers.motion_exports import write_motion_file
 from hfb.interop.writers.opensim_files import OPENSIM_NAMES, write_opensim
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import Clip, read_clip
 from hfb.io.media.images.image_io import stored_png
 from hfb.io.media.lens.camera_pose import clip_world, pose_remarks
 from hfb.io.safe_folder import check_tree
+from hfb.motion.footing import floor_fault, stand
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.tasks.inputs.out_place import check_no_clip
@@ -81,7 +84,8 @@ def export_result(
         world = clip_world(camera, told.camera, told.video.name if told.video else "")
         for remark in pose_remarks(told.camera, told.video.name if told.video else ""):
             progress.say(f"hfb: {remark}")
-        motion = replace(motion, world=_with_up(world or motion.world, camera.world_up))
+        world = with_floor(_with_up(world or motion.world, camera.world_up), camera.floor or told.camera.floor)
+        motion = stand(replace(motion, world=world))
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = load_fitted_body(motion, space, body or find_named_body(place.files / RESULT)) if surface else None
         texture = stored_png(place.files / TEXTURE) if (place.files / TEXTURE).exists() else None
@@ -115,8 +119,10 @@ def export_result(
         of_opensim = _write_opensim(folder / _OPENSIM, motion) if opensim else {}
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
     facts = describe_world(motion)
-    if facts.doubtful:
+    if facts.doubtful or facts.floor:
         progress.say(f"hfb: {facts.says}")
+    if fault := floor_fault(motion):
+        progress.say(f"hfb: {fault}")
     return {
         "out": str(folder.resolve()),
         "meshes": count,

@@ -6,6 +6,7 @@ Light to import (pydantic only): the command line builds its flags from these re
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -78,6 +79,26 @@ RollDeg = Annotated[float, within(-180, 180)]
 WorldUp = Literal["z", "-z", "y", "-y"]
 
 
+def _plane(value: Any) -> Any:
+    """Return the plane n . X = d of four numbers with n of length one; words other than `estimate` are such numbers."""
+    if value is None or value == "estimate":
+        return value
+    try:
+        numbers = [float(one) for one in (value.split(",") if isinstance(value, str) else value)]
+        length = math.hypot(*numbers[:3])
+        if len(numbers) == 4 and 1e-6 < length < 1e6 and abs(numbers[3]) <= _FARTHEST_FLOOR_M * length:
+            return tuple(one / length for one in numbers)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError("must be estimate, or a plane's normal and height [m] as four numbers, such as 0,0,1,0")
+
+
+_FARTHEST_FLOOR_M = 100
+Plane = Annotated[tuple[float, float, float, float], BeforeValidator(_plane)]
+"""The points X with n . X = d [m], as (n, d) with n of length one."""
+Floor = Annotated[Literal["estimate"] | tuple[float, float, float, float], BeforeValidator(_plane)]
+
+
 class BodyConfig(Record):
     """The body model."""
 
@@ -98,6 +119,11 @@ class CameraConfig(Record):
     )
     world_up: WorldUp | None = Field(
         None, description="axis of the calibration's world that points up; z when not given"
+    )
+    floor: Floor | None = Field(
+        None,
+        description="height 0 of exports: from standing feet, or the plane n . X = d [m], below which no foot sinks, "
+        "in the calibration's world where there is one, else in camera coordinates (x right, y down, z ahead)",
     )
 
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hfb.config import OWN_NETWORKS, RENAMED_FIT_OPTIONS, InitConfig, RunConfig, preset
+from hfb.config import OWN_NETWORKS, RENAMED_FIT_OPTIONS, Floor, InitConfig, RunConfig, preset
 from hfb.errors import InputError
 from hfb.io.run_options import check_options, complete_options
 from hfb.io.toml_file import merged, read_toml
@@ -49,7 +49,7 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
             flag,
             dest=CONFIG_PREFIX + name,
             default=argparse.SUPPRESS,
-            metavar=_placeholder(name, field),
+            metavar=placeholder(name, field),
             help=described if default is None else f"{described} [{_shown(default)}]".strip(),
         )
         if "_" in name:  # as the file writes it
@@ -152,8 +152,15 @@ def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo,
             yield prefix + name, field, value
 
 
-def _placeholder(name: str, field: FieldInfo) -> str:
-    """Return what stands for a flag's value: its words, its unit, or its kind."""
+def placeholder(name: str, field: FieldInfo) -> str:
+    """Return what stands for a flag's value: its words, its unit, or its kind.
+
+    Args:
+        name: of the option.
+        field: of the record.
+    """
+    if field.annotation == Floor | None:
+        return "estimate|X,Y,Z,D"
     kind = _bare(field.annotation)
     if get_origin(kind) is tuple:
         return "NAME,..." if get_origin(_bare(get_args(kind)[0])) is Literal else "JSON"

@@ -9,13 +9,14 @@ from typing import Any, cast, get_args
 
 from hfb.config import CameraConfig, ExportConfig, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
+from hfb.flows.cli.options import placeholder
 from hfb.flows.runtime.session import libraries, open_session, output_folder_of, tell
 from hfb.io.toml_file import to_record
 
 _MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
 _FILMS: tuple[Film, ...] = get_args(Film)
 _ALL = (*get_args(MotionFormat), *_MESHES, "mot")
-_PLACE = ("tilt_deg", "roll_deg", "world_up")
+_PLACE = ("tilt_deg", "roll_deg", "world_up", "floor")
 _RATE, _FPS = ExportConfig().amass_rate, ExportConfig().fps
 
 
@@ -39,9 +40,9 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
     add("--fps", metavar="X", default=_FPS, help=f"{described} [{_FPS:g}]")
     add("--clip", type=Path, metavar="clip.toml", help="the camera's place in the world, as rotation and translation")
     for name in _PLACE:
-        described = CameraConfig.model_fields[name].description
+        field = CameraConfig.model_fields[name]
         flag = name.replace("_", "-")
-        add(f"--{flag}", f"--camera.{flag}", dest=name, metavar="AXIS" if name == "world_up" else "DEG", help=described)
+        add(f"--{flag}", f"--camera.{flag}", dest=name, metavar=placeholder(name, field), help=field.description)
     add("--films", metavar="NAME,...", help=f"of {', '.join(_FILMS)}: drawn again from the result and its pictures")
     add("--inputs", type=Path, metavar="DIR", help="where the pictures lie, for films, if they were moved")
     add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")

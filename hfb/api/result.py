@@ -32,7 +32,8 @@ from hfb.interop.writers.export_names import (
     check_formats,
 )
 from hfb.interop.writers.export_world import describe_world
-from hfb.interop.writers.motion_exports import Exported, write_motion_file
+from hfb.interop.writers.exported import Exported
+from hfb.interop.writers.motion_exports import write_motion_file
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, stored_png
 from hfb.io.toml_file import to_record

@@ -16,6 +16,7 @@ from hfb.fitting.front_choice import ANOTHER_FRONT_DEG
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.plate import constant_changes
 from hfb.matting.matting_protocol import shrink
+from hfb.motion.footing import floor_fault
 from hfb.motion.limits import fastest_ends, fastest_hinges, fastest_turns
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import srgb_to_linear
@@ -95,6 +96,7 @@ def find_warnings(
     found = (
         check_matte_iou(matte_iou),
         check_spin(motion),
+        check_floor(motion),
         *check_limits(motion),
         check_left_over(looks),
         check_light(looks, plate_srgb),
@@ -121,6 +123,16 @@ def check_matte_iou(matte_iou: Mapping[int, float]) -> ResultWarning | None:
         "so its pose there is unreliable; look at strip.png: where the matte is wrong give a better background plate, "
         "where it is right a better start (`hfb models fetch`, or another system's result with --init FILE)",
     )
+
+
+def check_floor(motion: SampledMotion) -> ResultWarning | None:
+    """Check that the floor does not contradict the feet and gravity.
+
+    Args:
+        motion: motion of the result, camera coordinates.
+    """
+    fault = floor_fault(motion)
+    return None if fault is None else _warning("floor", 1.0, (), fault)
 
 
 def check_spin(motion: SampledMotion) -> ResultWarning | None:

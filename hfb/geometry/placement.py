@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hfb.config import WorldUp
-from hfb.geometry.world import CALIBRATED, Row, Rows, World
+from hfb.config import Floor, WorldUp
+from hfb.geometry.world import CALIBRATED, LEVEL, Row, Rows, World
 from hfb.typing import Array, Float
 
 _TO_Z_UP: Mapping[WorldUp, Float[Array, "3 3"]] = {
@@ -44,12 +44,54 @@ class Placement:
 
 
 def in_world(world: World) -> Placement:
-    """Return the motion to the world as it is.
+    """Return the motion to the world as it is; a floor is made level, at height 0, by the smallest turn.
 
     Args:
         world: the world.
     """
-    return Placement(np.array(world.rotation, np.float64), np.array(world.translation, np.float64))
+    R, t = np.array(world.rotation, np.float64), np.array(world.translation, np.float64)
+    if world.floor is None:
+        return Placement(R, t)
+    up, turn = _TO_Z_UP[world.up][2], _floor_turn(world).as_matrix()
+    return Placement(turn @ R, turn @ t - world.floor[3] * up)
+
+
+def _floor_turn(world: World) -> Rotation:
+    """Return the smallest turn of the floor's normal to the axis that points up."""
+    assert world.floor is not None
+    normal, up = np.array(world.floor[:3]), _TO_Z_UP[world.up][2]
+    axis = np.cross(normal, up)
+    return Rotation.from_rotvec(axis * math.atan2(np.linalg.norm(axis), normal @ up) / (np.linalg.norm(axis) or 1.0))
+
+
+def floor_slant_deg(world: World) -> float:
+    """Return the angle between the floor's normal and the world's up; 0 without a floor.
+
+    Args:
+        world: the world.
+    """
+    return 0.0 if world.floor is None else math.degrees(_floor_turn(world).magnitude())
+
+
+def with_floor(world: World | None, floor: Floor | None) -> World | None:
+    """Return a world with a floor.
+
+    Args:
+        world: None where nothing is known of it.
+        floor: a plane in the calibration's world, else in camera coordinates, whichever way its normal points;
+            ``"estimate"``: the feet of a motion will tell it (`hfb.motion.footing.stand`); None changes nothing.
+    """
+    if floor is None:
+        return world
+    world = world or LEVEL
+    if floor == "estimate":
+        return world.model_copy(update={"floor_source": "feet", "floor": None})
+    normal, offset = np.array(floor[:3]), floor[3]
+    if world.source not in CALIBRATED:
+        normal = np.array(world.rotation) @ normal  # such a world has its origin in the camera
+    sign = -1.0 if normal @ _TO_Z_UP[world.up][2] < 0 else 1.0
+    plane = (*row_of(sign * normal), sign * offset)
+    return world.model_copy(update={"floor_source": "plane", "floor": plane})
 
 
 def z_up(world: World) -> Placement:

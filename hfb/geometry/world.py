@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from hfb.config import Record, WorldUp
+from hfb.config import Plane, Record, WorldUp
 
 Row = tuple[float, float, float]
 Rows = tuple[Row, Row, Row]
 WorldSource = Literal["calibration", "rotation", "options", "person", "level"]
+FloorSource = Literal["plane", "feet"]
 
 _ROUNDED = 1e-3
 
@@ -23,12 +24,17 @@ class World(Record):
         up: axis of this world that points up.
         source: a calibration's pose; its rotation alone; the options' tilt and roll; an estimate from the person;
             nothing, so that the camera is taken as level. Only a pose knows the origin: elsewhere it is the camera.
+        floor_source: a plane that is stated, or feet that stand; None where no floor is asked for.
+        floor: its plane in this world, whose normal points up; None where feet have still to tell it. Files are turned
+            and moved so that it is level, at height 0.
     """
 
     rotation: Rows
     translation: Row
     up: WorldUp
     source: WorldSource
+    floor_source: FloorSource | None = None
+    floor: Plane | None = None
 
 
 CALIBRATED: tuple[WorldSource, ...] = ("calibration", "rotation")
@@ -45,6 +51,8 @@ class WorldFacts(Record):
         tilt_deg: the camera looks down by so much.
         roll_deg: what stands upright leans to the right in the image by so much.
         lean_deg: median angle between trunk (pelvis to neck) and vertical.
+        floor: what told the floor; None where none is asked for, and heights are about the world's origin.
+        soles_mm: median height of the lowest sole of each exposure above the floor.
         foot_skate_mm: see `hfb.motion.footing.foot_skate_mm`.
         says: the same in a sentence.
         doubtful: nobody stated it, or the person contradicts it.
@@ -55,6 +63,8 @@ class WorldFacts(Record):
     tilt_deg: float
     roll_deg: float
     lean_deg: float
+    floor: FloorSource | None
+    soles_mm: float | None
     foot_skate_mm: float | None
     says: str
     doubtful: bool

@@ -17,6 +17,7 @@
     world_up = "z"                 # axis of that world that points up (default), or "-z", "y", "-y"
     tilt_deg = 12.0                # or the camera's direction alone: it looks down by so much
     roll_deg = 0.0                 # what stands upright leans to the right in the image by so much
+    floor = [0, 0, 1, 0.02]        # a plane's normal and height [m] in that world, else in the camera's; or "estimate"
 
     [exposure]
     fps = 30.0
@@ -44,6 +45,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from hfb.config import (
     ExposureSeconds,
+    Floor,
     FocalPx,
     FramesPerS,
     HeightM,
@@ -88,6 +90,7 @@ class ClipCamera(_ClipRecord):
     world_up: WorldUp | None = None
     tilt_deg: TiltDeg | None = None
     roll_deg: RollDeg | None = None
+    floor: Floor | None = None
 
     @property
     def has_lens(self) -> bool:

@@ -24,6 +24,19 @@ _PRINT_M = 0.2  # footprints of one foot are further apart
 _SURE_RAD, _ACROSS_RAD, _AGREE_RAD = math.radians(2), math.radians(6.5), math.radians(15)
 
 
+def find_world(motion: SampledMotion, told: World | None) -> World | None:
+    """Return the world that is told; where nothing tells which way is up, that of a walk, with the floor asked for.
+
+    Args:
+        motion: camera coordinates.
+        told: the clip's.
+    """
+    if told is not None and (told.source != "level" or told.floor is not None):
+        return told
+    walked = world_of_walk(motion)
+    return walked.model_copy(update={"floor_source": told.floor_source}) if walked and told else walked or told
+
+
 def world_of_walk(motion: SampledMotion) -> World | None:
     """Return the world of a person who walks; None where feet and trunk do not tell it to a few degrees.
 

@@ -17,6 +17,7 @@ from hfb.typing import Array
 _ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
 _OPTIONAL = ("joint_radius_mm",)
 _WORLD = ("R_world_camera", "t_world_camera", "world_up", "world_source")
+_FLOOR = ("floor_source", "floor")
 _LARGEST = {
     "poses": 1e4,
     "trans": 1e6,
@@ -44,6 +45,7 @@ def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
     if (world := motion.world) is not None:
         parts = (world.rotation, world.translation, world.up, world.source)
         known |= {name: np.array(part) for name, part in zip(_WORLD, parts, strict=True)}
+        known |= {name: np.array(part) for name in _FLOOR if (part := getattr(world, name)) is not None}
     if motion.size is not None:
         known["size"] = np.array(motion.size)
     return known | {"betas_space": np.array(betas_space)}
@@ -82,7 +84,7 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
         InputError: not a motion file, or a damaged one.
     """
     try:
-        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, *_WORLD, "size", "betas_space"))
+        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, *_WORLD, *_FLOOR, "size", "betas_space"))
         _check(found)
         names = (*_ARRAYS, *(name for name in _OPTIONAL if name in found))
         parts = {name: found[name] for name in names}
@@ -126,9 +128,10 @@ def _world(found: Mapping[str, Array]) -> World | None:
     """Return the world; None in files that have none. Raises KeyError or ValueError where it is damaged."""
     if _WORLD[0] not in found:
         return None
-    values = [found[name].tolist() for name in _WORLD]
+    parts = {key: found[key].tolist() for key in (*_WORLD, *(name for name in _FLOOR if name in found))}
+    names = dict(zip(_WORLD, ("rotation", "translation", "up", "source"), strict=True))
     try:
-        world = World.model_validate(dict(zip(("rotation", "translation", "up", "source"), values, strict=True)))
+        world = World.model_validate({names.get(key, key): part for key, part in parts.items()})
     except ValidationError:
         raise ValueError("its world is none") from None
     if fault := rotation_fault(world.rotation):

@@ -20,7 +20,7 @@ class FootageHandle(FileHandle):
         count: frames that can be decoded, after averaging.
         bits: of the images that its frames are stored as.
         remarks: sentences for the user.
-        world: of exports; None where nothing is known of it. No frame's fit depends on it.
+        world: of exports; None where nothing is known of it. Fits depend on its stated floor alone.
         readout: see `ClipHandle`.
     """
 
@@ -54,6 +54,7 @@ class FootageHandle(FileHandle):
             interval_s=self.interval_s,
             transfer=self.transfer,
             light=self.light,
+            world=self.world if self.world and self.world.floor else None,
             readout=self.readout,
         )
 
@@ -67,7 +68,13 @@ class FootageHandle(FileHandle):
         """
         nowhere = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         alone = self.clip((frame,), background)
-        update = {"exposure_s": 1.0, "interval_s": 1.0, "readout": None, **({} if camera else {"K": nowhere})}
+        update = {
+            "exposure_s": 1.0,
+            "interval_s": 1.0,
+            "readout": None,
+            "world": None,
+            **({} if camera else {"K": nowhere}),
+        }
         return alone.model_copy(update=update)
 
 

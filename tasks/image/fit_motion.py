@@ -10,8 +10,10 @@ from hfb.fitting.fit import fit
 from hfb.initialization.fronts import find_other_front
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import write_matte, write_png
+from hfb.motion.footing import stand
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
+from hfb.objective.floor import floor_terms
 from hfb.objective.own_term import OwnTerm
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_prior import load_motion_prior
@@ -62,10 +64,11 @@ def fit_motion(
         on_progress=progress.advance,
         motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
         other_front=find_other_front(observation, firsts, model, enabled=config.both_fronts),
-        own_terms=own_terms,
+        own_terms=(*own_terms, *floor_terms(clip.world, config)),
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
-    save_motion(paths[0], replace(result.motion, world=clip.world, size=(clip.width, clip.height)), model.betas_space)
+    moving = stand(replace(result.motion, world=clip.world, size=(clip.width, clip.height)))
+    save_motion(paths[0], moving, model.betas_space)
     write_arrays(paths[1], {"texture": result.texture.numpy()})
     write_png(paths[2], observation.to_srgb(result.texture).numpy())
     write_bytes_atomic(paths[3], json.dumps(result.history).encode())

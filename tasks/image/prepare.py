@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
+from hfb.geometry.placement import with_floor
 from hfb.io.clip import Clip
 from hfb.io.media.images.image_decoding import doubt_depths
 from hfb.io.media.lens.camera_pose import clip_world
@@ -90,7 +91,7 @@ def prepare(
         light=exposure.light,
         remarks=(*images.remarks(), *check_pinhole(K, height, width), *doubts),
         plate_remarks=doubts,
-        world=clip_world(camera, clip.camera, frames[0].path.name),
+        world=with_floor(clip_world(camera, clip.camera, frames[0].path.name), camera.floor or clip.camera.floor),
         readout=find_readout(clip.exposure, exposure),
     )
 

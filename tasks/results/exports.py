@@ -105,7 +105,8 @@ def write_motion_files(
         folder: where the files go.
     """
     from hfb.interop.writers.export_world import describe_world
-    from hfb.interop.writers.motion_exports import Exported, write_motion_file
+    from hfb.interop.writers.exported import Exported
+    from hfb.interop.writers.motion_exports import write_motion_file
     from hfb.motion.motion_file import load_motion
     from hfb.tasks.core.scene import load_chosen_body
 
@@ -170,7 +171,8 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
         config=config,
         folder=folder,
     )
-    doubts = (written.world.says,) if config.formats and written.world and written.world.doubtful else ()
+    world = written.world if config.formats else None
+    doubts = (world.says,) if world and (world.doubtful or world.floor) else ()
     for reason in (*written.left_out, *doubts):
         progress.say(f"hfb: {reason}")
     films = tuple(dict.fromkeys(config.films))

@@ -44,6 +44,7 @@ def look_at_clip(
     Raises:
         InputError: no frame can be decoded, or clip.toml or an option does not fit the clip.
     """
+    from hfb.geometry.placement import with_floor
     from hfb.io.media.footage import open_footage
     from hfb.io.media.lens.camera_pose import clip_world, pose_remarks
     from hfb.io.media.lens.clip_lens import check_pinhole, clip_lens
@@ -83,7 +84,7 @@ def look_at_clip(
         light=exposure.light,
         bits=footage.bits,
         remarks=(*footage.remarks, timing.source, *check_pinhole(K, *size), *pose_remarks(given, paths[0].name)),
-        world=clip_world(camera, given, paths[0].name),
+        world=with_floor(clip_world(camera, given, paths[0].name), camera.floor or given.floor),
         readout=find_readout(clip.exposure, exposure),
     )
 

@@ -147,6 +147,7 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
     from hfb.fitting.identity import load_identity
     from hfb.initialization.fronts import find_other_front
     from hfb.motion.static_pose import load_first_body
+    from hfb.objective.floor import floor_terms
     from hfb.priors.load import load_pose_prior
     from hfb.priors.motion_prior import load_motion_prior
     from hfb.tasks.core.scene import load_chosen_body, load_observation
@@ -168,6 +169,7 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
         seed=shared.seed,
         pose_prior=load_pose_prior(pose.path if pose else None, shared.priors.kind),
         motion_prior=load_motion_prior(motion.path if motion else None),
+        own_terms=floor_terms(shared.clip.world, shared.config),
     )
     handles = []
     for call, found in zip(calls, fits, strict=True):
@@ -248,7 +250,8 @@ def join_clip(
     from hfb.fitting.clip.join import join_windows
     from hfb.fitting.clip.windows import load_window
     from hfb.fitting.identity import load_identity
-    from hfb.motion.gravity import world_of_walk
+    from hfb.motion.footing import stand
+    from hfb.motion.gravity import find_world
     from hfb.motion.motion_file import save_motion
     from hfb.tasks.core.scene import load_chosen_body
     from hfb.tasks.video.video_clip import load_timing
@@ -263,8 +266,8 @@ def join_clip(
         K=np.array(footage.K),
         longest_fill=longest_fill,
     )
-    world = footage.world or world_of_walk(joined.motion)
-    motion = replace(joined.motion, world=world, size=(footage.width, footage.height))
+    world = find_world(joined.motion, footage.world)
+    motion = stand(replace(joined.motion, world=world, size=(footage.width, footage.height)))
     save_motion(folder / "motion.npz", motion, model.betas_space)
     told = {
         "edges": [asdict(edge) for edge in joined.edges],

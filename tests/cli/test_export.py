@@ -104,6 +104,19 @@ def test_the_world_of_exports(result: Path, tmp_path: Path, capsys: pytest.Captu
     np.testing.assert_allclose([float(cell) for cell in row[3:6]], [x, z, 1.5 - y], atol=1e-6)
     assert main([*words, "--clip", str(clip), "--camera.world-up=-y"]) == 0
     assert said(capsys)["world"]["up"] == "-y"
+    assert main([*words, "--clip", str(clip), "--floor", "0,0,1,-9"]) == 0
+    shown = capsys.readouterr()
+    assert "above the floor that is given: check the height in --camera.floor" in shown.err
+    told = json.loads(shown.out.splitlines()[-1])["world"]
+    assert (told["source"], told["floor"]) == ("calibration", "plane")
+    assert main([*words, "--floor", "estimate"]) == 0
+    assert "height 0 is the floor under the standing feet" in capsys.readouterr().err
+    head, *rows = (line.split(",") for line in (result / "export" / "joints.csv").read_text().splitlines())
+    assert head[-4:] == ["left_foot_stands", "right_foot_stands", "left_foot_sole_m", "right_foot_sole_m"]
+    assert min(abs(float(cell)) for row in rows for cell in row[-2:]) < 0.05
+    for bad in ("wall", "0,0,1", "0,0,0,1", "0,0,nan,1", "0,0,1,1e4"):
+        assert main([*words, f"--floor={bad}"]) == 2
+        assert "must be estimate, or a plane's normal and height [m] as four numbers" in said(capsys)["error"]
     assert main([*words, "--world-up=-y"]) == 2
     assert "--clip" in said(capsys)["error"]
     assert main([*words, "--tilt-deg", "91"]) == 2

@@ -101,6 +101,7 @@ def test_a_flag_shows_the_kind_and_the_unit_of_its_value() -> None:
         "--exposure.fps": "FPS",
         "--camera.focal-px": "PX",
         "--camera.tilt-deg": "DEG",
+        "--camera.floor": "estimate|X,Y,Z,D",
         "--matting.half": "true|false",
         "--fit.subframes": "N",
         "--fit.origin": "X",

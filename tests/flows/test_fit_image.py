@@ -1,5 +1,6 @@
 """The whole chain on a real server and a real store."""
 
+import csv
 import json
 import math
 from dataclasses import replace
@@ -64,6 +65,22 @@ def test_a_calibration_and_a_direction_reach_the_exports(problem: Problem, store
     tilted = formats.model_copy(update={"camera": CameraConfig(tilt_deg=17)})
     result = fit_image([problem.frame], problem.background, tmp_path / "out", tilted, clip=clip, first_bodies=given)
     assert (result["world"]["source"], result["world"]["tilt_deg"]) == ("options", 17)
+
+
+def test_a_floor_reaches_fit_exports_and_warnings(problem: Problem, store: Path, tmp_path: Path) -> None:
+    """A floor at the height of the camera: the soles are below it, which counts in the fit, and is said."""
+    config = TINY.model_copy(update={"camera": CameraConfig.model_validate({"floor": "0,2,0,0"})})
+    formats = config.model_copy(update={"export": ExportConfig(formats=("trc", "csv"), films=(), report=False)})
+    result = run(problem, tmp_path / "out", formats)
+    assert (result["world"]["source"], result["world"]["floor"]) == ("level", "plane")
+    assert [one["code"] for one in result["warnings"]].count("floor") == 1
+    assert json.loads((tmp_path / "out" / "curves.json").read_text())["losses"]["sunk_soles"][0] > 0
+    motion, _ = load_motion(tmp_path / "out" / "motion.npz")
+    read = read_trc(tmp_path / "out" / "joints.trc").xyz_m[0]
+    np.testing.assert_allclose(read[:, 1], -motion.joints[0, :, 1], atol=1e-3)
+    rows = list(csv.DictReader((tmp_path / "out" / "joints.csv").open()))
+    assert [float(rows[0][f"{side}_foot_sole_m"]) < -0.3 for side in ("left", "right")] == [True, True]
+    assert [rows[0][f"{side}_foot_stands"] for side in ("left", "right")] == ["0", "0"]
 
 
 def test_results_and_record(problem: Problem, store: Path, tmp_path: Path) -> None:

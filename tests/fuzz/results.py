@@ -18,6 +18,7 @@ from hfb.interop.readers.sniff import read_tracks
 from hfb.interop.writers.amass import amass_arrays
 from hfb.interop.writers.bvh import bvh_text
 from hfb.interop.writers.c3d_file import c3d_bytes
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.joint_tables import csv_text, trc_text
 from hfb.interop.writers.mesh_files import mesh_name
 from hfb.interop.writers.skinned_glb import skinned_glb
@@ -145,7 +146,7 @@ def _batch(path: Path) -> None:
 def _exports(path: Path) -> None:
     motion, _ = load_motion(path)
     csv_text(motion)
-    skinned_glb(motion, _load_body())
+    skinned_glb(Exported(motion, "hfb", _load_body()))
     mesh_name(motion, len(motion.poses) - 1, "obj")
     bvh_text(motion)
     trc_text(motion)

@@ -12,7 +12,9 @@ from markupsafe import Markup
 
 from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
+from hfb.geometry.placement import with_floor
 from hfb.io.media.video.video_writing import VideoWriter
+from hfb.motion.footing import foot_contacts, stand
 from hfb.motion.sampled import SampledMotion
 from hfb.report.pages.page import page
 from hfb.report.pages.result_page import ResultContents, result_page
@@ -155,6 +157,20 @@ def test_nested_figures_are_readable() -> None:
     assert rows["gaps"] == "5, 9"
     assert rows["edges"] == "-"
     assert rows["world.doubtful"] == "yes"
+
+
+def test_it_shows_the_world_and_when_feet_stand() -> None:
+    """Of 8 sub-frames at a height of the soles above a floor; what is not text is left out."""
+    motion = motion_of(BODY)
+    level = stand(replace(motion, world=with_floor(None, "estimate")))
+    standing = foot_contacts(level)
+    facts = {"world": {"says": "height 0 is the <floor>"}}
+    text = result_page(ResultContents(title="a", facts=facts, motion=level, body=None))
+    assert "height 0 is the &lt;floor&gt;" in text
+    paths = re.findall(r'aria-label="when this foot stands"><path d="([^"]*)"', text)
+    shown = [[f"M{row} 0h" in path for row in range(len(standing))] for path in paths]
+    assert shown == standing.T.tolist()
+    assert "None" not in result_page(ResultContents(title="a", facts={"world": {"says": 3}}, motion=level, body=None))
 
 
 def test_it_links_to_the_files_beside_it() -> None:

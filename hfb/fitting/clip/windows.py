@@ -22,6 +22,7 @@ from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
 from hfb.motion.static_pose import FirstBody, OtherFront
 from hfb.motion.trajectory import Trajectory
+from hfb.objective.own_term import OwnTerm
 from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
 from hfb.rendering.observation import Observation
@@ -176,6 +177,7 @@ def fit_windows(
     seed: int,
     pose_prior: PosePrior,
     motion_prior: MotionPrior | None = None,
+    own_terms: Sequence[OwnTerm] = (),
 ) -> list[WindowFit]:
     """Fit several windows of one clip: in batches on a device (see `fit_all`), in turn otherwise.
 
@@ -186,6 +188,7 @@ def fit_windows(
         seed: seed of everything random.
         pose_prior: prior of the pose, L_P of eq. (6).
         motion_prior: prior of the motion; the shipped one when not given.
+        own_terms: as of `hfb.fitting.fit.fit`.
     """
     batch_size = window_batch_size(config)
     found: dict[int, WindowFit] = {}
@@ -195,7 +198,14 @@ def fit_windows(
             some = alike[at : at + batch_size]
             problems = [_problem(scenes[place], body) for place in some]
             results = fit_all(
-                problems, body, config, seed, pose_prior, motion_prior=motion_prior, batch_size=batch_size
+                problems,
+                body,
+                config,
+                seed,
+                pose_prior,
+                motion_prior=motion_prior,
+                batch_size=batch_size,
+                own_terms=own_terms,
             )
             found |= {
                 place: _window_fit(scenes[place], result, config) for place, result in zip(some, results, strict=True)

@@ -9,13 +9,11 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from hfb.body.model import Body
-from hfb.config import ExportConfig
 from hfb.errors import InputError
 from hfb.interop.writers.export_names import check_formats, find_blender
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.skinned_glb import write_glb
 from hfb.io.atomic import write_bytes_atomic
-from hfb.motion.sampled import SampledMotion
 
 _PATIENCE_S = 600
 _SAID = 300  # characters of its last words
@@ -79,31 +77,20 @@ def run_blender(script: str, words: Sequence[str]) -> str:
     return done.stdout
 
 
-def write_by_blender(
-    path: Path,
-    motion: SampledMotion,
-    body: Body,
-    texture_png: bytes | None = None,
-    fps: float = ExportConfig().fps,
-    plate: str | None = None,
-) -> None:
+def write_by_blender(path: Path, exported: Exported) -> None:
     """Write an .fbx or .abc whole or not at all.
 
     Args:
         path: the file; its suffix tells the format.
-        motion: camera coordinates.
-        body: the model that the motion was fitted with.
-        texture_png: the person's texture as an sRGB image; an .abc has none.
-        fps: frames per second.
-        plate: name of the background's file beside this one.
+        exported: the motion, body and texture; an .abc has no texture.
 
     Raises:
         InputError: there is no Blender, or it could not write the file.
     """
     with tempfile.TemporaryDirectory() as private:
         source, made = Path(private) / "motion.glb", Path(private) / path.name
-        write_glb(source, motion, body, texture_png, fps, plate)
-        run_blender(_CONVERT, [str(source), str(made), str(fps)])
+        write_glb(source, exported)
+        run_blender(_CONVERT, [str(source), str(made), str(exported.fps)])
         if not made.is_file():
             raise InputError(f"Blender wrote no {path.name}: try another version of it")
         write_bytes_atomic(path, made.read_bytes())

@@ -6,7 +6,7 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.config import WorldUp
 from hfb.geometry.placement import angles_of_world, in_world, z_up
 from hfb.geometry.world import CALIBRATED, WorldFacts
-from hfb.motion.footing import FEET, foot_skate_mm
+from hfb.motion.footing import FEET, foot_skate_mm, lowest_soles_m
 from hfb.motion.sampled import SampledMotion
 
 _PELVIS, _NECK = JOINT_NAMES.index("pelvis"), JOINT_NAMES.index("neck")
@@ -38,6 +38,11 @@ def describe_world(motion: SampledMotion) -> WorldFacts:
         "level": f"the camera is taken as level in exports: give {give}",
     }[world.source]
     doubtful = world.source in ("rotation", "person", "level")
+    if world.source == "level" and world.floor_source == "plane":
+        doubtful, says = False, f"up in exports is the normal of the floor that is given: for the camera {angles}"
+    says += {None: "", "plane": "; height 0 is that floor", "feet": "; height 0 is the floor under the standing feet"}[
+        world.floor_source
+    ]
     if lean > _UPRIGHT_DEG and world.source in (*CALIBRATED, "options"):
         doubtful, says = True, f"{says}, and the person's trunk is {lean:.0f} degrees off the vertical"
         along = np.median(trunks @ in_world(world).R.T, axis=0)
@@ -55,6 +60,8 @@ def describe_world(motion: SampledMotion) -> WorldFacts:
         tilt_deg=round(tilt, 2),
         roll_deg=round(roll, 2),
         lean_deg=round(lean, 2),
+        floor=world.floor_source,
+        soles_mm=None if world.floor is None else round(1000 * lowest_soles_m(motion), 1),
         foot_skate_mm=None if skate is None else round(skate, 2),
         says=says,
         doubtful=doubtful,

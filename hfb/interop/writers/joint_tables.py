@@ -10,7 +10,7 @@ from hfb.config import CsvFrame
 from hfb.geometry.placement import Placement, in_world, trc_axes, z_up
 from hfb.interop.writers.keys import even_keys, subframe_rate_hz
 from hfb.io.atomic import write_bytes_atomic
-from hfb.motion.footing import FEET, standing_feet
+from hfb.motion.footing import FEET, foot_contacts, sole_heights_m
 from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Float
 
@@ -21,7 +21,8 @@ def csv_text(motion: SampledMotion, frame: CsvFrame = "camera") -> str:
     Columns: ``frame``, ``sub_frame``, ``time_s``, per joint ``NAME_x_m``, ``NAME_y_m``, ``NAME_z_m`` (of the world
     ``NAME_world_x_m`` ...), and ``NAME_radius_mm`` where the motion has radii: the error is below it with a probability
     of one half; empty where unknown. ``left_foot_stands`` and ``right_foot_stands`` are 1 where the foot is on the
-    floor (`hfb.motion.footing`), else 0.
+    floor (`hfb.motion.footing`), else 0; where the world has a floor ``left_foot_sole_m`` and ``right_foot_sole_m`` are
+    the soles' heights above it.
 
     Args:
         motion: camera coordinates.
@@ -37,7 +38,9 @@ def csv_text(motion: SampledMotion, frame: CsvFrame = "camera") -> str:
     if radius is not None:
         head += [f"{name}_radius_mm" for name in JOINT_NAMES]
     head += [f"{JOINT_NAMES[foot]}_stands" for foot in FEET]
-    standing = standing_feet(motion, z_up(motion.export_world).R[2]).astype(int)
+    standing = foot_contacts(motion).astype(int)
+    heights = sole_heights_m(motion) if motion.export_world.floor else None
+    head += [f"{JOINT_NAMES[foot]}_sole_m" for foot in FEET if heights is not None]
     lines = [",".join(head)]
     number = -1
     for row, (index, time_s, joints) in enumerate(
@@ -47,7 +50,9 @@ def csv_text(motion: SampledMotion, frame: CsvFrame = "camera") -> str:
         cells = [str(int(index)), str(number), f"{time_s:.9f}", *(f"{value:.6f}" for value in joints)]
         if radius is not None:
             cells += [f"{value:.2f}" if np.isfinite(value) else "" for value in radius[row]]
-        lines.append(",".join([*cells, *map(str, standing[row].tolist())]))
+        cells += map(str, standing[row].tolist())
+        cells += [f"{height:.4f}" for height in (() if heights is None else heights[row])]
+        lines.append(",".join(cells))
     return "\r\n".join(lines) + "\r\n"
 
 

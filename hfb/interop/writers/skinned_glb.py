@@ -18,9 +18,9 @@ import torch
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
-from hfb.config import ExportConfig
 from hfb.geometry.placement import y_up
 from hfb.interop.writers.export_camera import NEAR_M, aspect_ratio, camera_of, far_m, field_of_view, lens_shift
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.gltf import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuffer
 from hfb.interop.writers.keys import MotionKeys, exact_keys, subframe_rate_hz
 from hfb.interop.writers.skin import skin_of
@@ -58,25 +58,16 @@ def slow_frames(times_s: Float[Array, "F"], rate_hz: float) -> Float[Array, "F"]
     return 1 + np.maximum.accumulate(nearest - order) + order
 
 
-def skinned_glb(
-    motion: SampledMotion,
-    body: Body,
-    texture_png: bytes | None = None,
-    fps: float = ExportConfig().fps,
-    plate: str | None = None,
-) -> bytes:
+def skinned_glb(exported: Exported) -> bytes:
     """Return the file's bytes.
 
     Args:
-        motion: camera coordinates.
-        body: the model that the motion was fitted with.
-        texture_png: the person's texture as an sRGB image; a plain colour where there is none.
-        fps: frames per second of the program that opens it; slow motion has its keys on whole frames.
-        plate: name of the background's file beside this one.
+        exported: the motion, body and texture; slow motion has its keys on whole frames of its rate.
 
     Raises:
         InputError: the motion's instants are not in order, or its K has no focal length.
     """
+    motion, body, fps = exported.motion, exported.surface, exported.fps
     keys, placed = exact_keys(motion), y_up(motion.export_world)
     slow = slow_factor(motion, fps)
     times_s = {
@@ -105,7 +96,7 @@ def skinned_glb(
         "scene": 0,
         "scenes": [{"nodes": [0, _WORLD]}],
         "nodes": nodes,
-        "cameras": [_camera(motion, fps, plate)],
+        "cameras": [_camera(motion, fps, exported.plate)],
         "meshes": [{"name": body.name, "primitives": [mesh]}],
         "skins": [
             {
@@ -114,36 +105,25 @@ def skinned_glb(
                 "joints": list(range(_PELVIS, _PELVIS + JOINT_COUNT)),
             }
         ],
-        "materials": [_material(texture_png is not None)],
+        "materials": [_material(exported.texture_png is not None)],
         "animations": _animations(buffer, keys, rest, times_s),
     }
-    if texture_png is not None:
-        view = buffer.add_file(texture_png)
+    if exported.texture_png is not None:
+        view = buffer.add_file(exported.texture_png)
         document["images"] = [{"name": "texture", "mimeType": "image/png", "bufferView": view}]
         document["samplers"] = [{"wrapS": _CLAMP, "wrapT": _CLAMP}]
         document["textures"] = [{"source": 0, "sampler": 0}]
     return buffer.glb(document)
 
 
-def write_glb(
-    path: Path,
-    motion: SampledMotion,
-    body: Body,
-    texture_png: bytes | None = None,
-    fps: float = ExportConfig().fps,
-    plate: str | None = None,
-) -> None:
+def write_glb(path: Path, exported: Exported) -> None:
     """Write the file whole or not at all; see `skinned_glb`.
 
     Args:
         path: the file.
-        motion: camera coordinates.
-        body: the model that the motion was fitted with.
-        texture_png: the person's texture as an sRGB image; a plain colour where there is none.
-        fps: frames per second of the program that opens it.
-        plate: name of the background's file beside this one.
+        exported: the motion, body and texture.
     """
-    write_bytes_atomic(path, skinned_glb(motion, body, texture_png, fps, plate))
+    write_bytes_atomic(path, skinned_glb(exported))
 
 
 def _facts(motion: SampledMotion, body: Body, fps: float) -> dict[str, Any]:

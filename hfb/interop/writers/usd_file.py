@@ -14,10 +14,10 @@ import torch
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
-from hfb.config import ExportConfig
 from hfb.geometry.placement import y_up
 from hfb.interop.writers.export_camera import NEAR_M, aspect_ratio, camera_of, far_m, lens_shift
 from hfb.interop.writers.export_names import check_formats
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.keys import MotionKeys, exact_keys
 from hfb.interop.writers.skin import Skin, skin_of
 from hfb.io.atomic import write_bytes_atomic
@@ -32,23 +32,12 @@ _PERSON = f"{_FRAME}/person"
 _MATERIAL = "/motion/material"
 
 
-def write_usd(
-    path: Path,
-    motion: SampledMotion,
-    body: Body,
-    texture_png: bytes | None = None,
-    fps: float = ExportConfig().fps,
-    plate: str | None = None,
-) -> None:
+def write_usd(path: Path, exported: Exported) -> None:
     """Write the file whole or not at all.
 
     Args:
         path: the .usdz file.
-        motion: camera coordinates.
-        body: the model that the motion was fitted with.
-        texture_png: the person's texture as an sRGB image.
-        fps: time codes per second.
-        plate: name of the background's file beside this one; a custom datum of the camera.
+        exported: the motion, body and texture; its rate is that of the time codes, its plate a datum of the camera.
 
     Raises:
         InputError: the library is missing, the motion's instants are not in order, or its K has no focal length.
@@ -56,6 +45,7 @@ def write_usd(
     check_formats(["usd"])
     from pxr import Gf, Sdf, Usd, UsdGeom
 
+    motion, fps, texture_png = exported.motion, exported.fps, exported.texture_png
     keys, placed = exact_keys(motion), y_up(motion.export_world)
     with tempfile.TemporaryDirectory() as private:
         layer, package = Path(private) / "motion.usdc", Path(private) / "motion.usdz"
@@ -70,8 +60,8 @@ def write_usd(
         matrix = np.eye(4)
         matrix[:3, :3], matrix[3, :3] = placed.R.T, placed.t  # the format's vectors are rows
         UsdGeom.Xform.Define(stage, _FRAME).AddTransformOp().Set(Gf.Matrix4d(matrix))
-        _add_camera(stage, motion, plate)
-        _add_person(stage, motion, body, keys, fps)
+        _add_camera(stage, motion, exported.plate)
+        _add_person(stage, motion, exported.surface, keys, fps)
         if texture_png is not None:
             (Path(private) / _TEXTURE).write_bytes(texture_png)
         _add_material(stage, texture_png is not None)

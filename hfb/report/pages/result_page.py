@@ -9,6 +9,7 @@ from hfb.body.model import Body
 from hfb.fitting.alternatives import Alternatives
 from hfb.interop.writers.export_names import LINKED_FILES
 from hfb.io.media.images.image_decoding import decode_picture
+from hfb.motion.footing import foot_contacts
 from hfb.motion.sampled import SampledMotion
 from hfb.report.pages.page import checked_picture, page
 from hfb.report.pages.result_curves import curve_charts
@@ -88,6 +89,7 @@ def result_page(contents: ResultContents) -> str:
         film=contents.film,
         film_caption=contents.film_caption,
         speeds=speeds_table(contents.motion),
+        standing=foot_contacts(contents.motion).T.tolist(),
         advice=advice(contents.motion, facts),
         unknown=unknown_sentences(contents.motion, contents.body, facts),
         alternatives=alternatives_table(contents.alternatives),
@@ -122,8 +124,9 @@ def _warnings(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _remarks(facts: Mapping[str, Any]) -> list[str]:
-    remarks = facts.get("remarks")
-    said = [facts.get("background"), *(remarks if isinstance(remarks, list) else [])]
+    remarks, world = facts.get("remarks"), facts.get("world")
+    of_exports = world.get("says") if isinstance(world, Mapping) else None
+    said = [facts.get("background"), of_exports, *(remarks if isinstance(remarks, list) else [])]
     return [one for one in said if isinstance(one, str)]
 
 

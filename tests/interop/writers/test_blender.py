@@ -21,6 +21,7 @@ from hfb.geometry.world import World
 from hfb.interop.writers.blender import run_blender, write_by_blender
 from hfb.interop.writers.export_camera import camera_of
 from hfb.interop.writers.export_names import BLENDER, check_formats, find_blender
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.skinned_glb import write_glb
 from hfb.motion.sampled import SampledMotion
 from hfb.rendering.backends import make_rasterizer
@@ -73,7 +74,7 @@ def overlap(seen: np.ndarray, motion: SampledMotion, row: int) -> float:
 )
 def test_play_moves_and_the_camera_overlays(K: np.ndarray, world: World | None, tmp_path: Path) -> None:
     motion = replace(motion_of(BODY, frames=2), K=K, size=_SIZE, world=world)
-    write_glb(tmp_path / "motion.glb", motion, BODY, plate="plate.png")
+    write_glb(tmp_path / "motion.glb", Exported(motion, "hfb", BODY, plate="plate.png"))
     Image.new("RGB", _SIZE, "teal").save(tmp_path / "plate.png")
     shown = {1: 0, 8: 7, 20: 15}  # frame of the scene: row of the motion
     found = seen_in_blender(tmp_path / "motion.glb", *shown)
@@ -124,7 +125,7 @@ def test_files_that_blender_writes(name: str, tmp_path: Path) -> None:
     """The surface and how the camera sees it, at its first, a middle and its last frame."""
     need_blender()
     motion = replace(motion_of(BODY, frames=2), K=_K_ASKEW, size=_SIZE)
-    write_by_blender(tmp_path / name, motion, BODY, _PNG)
+    write_by_blender(tmp_path / name, Exported(motion, "hfb", BODY, _PNG))
     assert [path.name for path in tmp_path.iterdir()] == [name]
     (found,) = [line for line in run_blender(_READ, [str(tmp_path / name)]).splitlines() if line.startswith("FOUND ")]
     for values, row in zip(json.loads(found.removeprefix("FOUND ")), (0, 7, 15), strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hfb.errors import InputError
-from hfb.geometry.placement import world_of_pose
+from hfb.geometry.placement import with_floor, world_of_pose
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
 
@@ -70,6 +70,9 @@ def test_how_far_off_joints_may_be_is_kept_where_it_is_known(tmp_path: Path) -> 
 
 def test_the_world_is_kept_where_it_is_known(tmp_path: Path) -> None:
     path, world = tmp_path / "motion.npz", world_of_pose(np.eye(3)[[1, 2, 0]], np.array([1.0, 2, 3]), "-z")
+    on_floor = with_floor(world, (0.6, 0, 0.8, 2))
+    save_motion(path, replace(motion(), world=on_floor), "hfb")
+    assert load_motion(path)[0].world == on_floor
     save_motion(path, replace(motion(), world=world), "hfb")
     assert load_motion(path)[0].world == world
     with np.load(path, allow_pickle=False) as file:
@@ -78,6 +81,8 @@ def test_the_world_is_kept_where_it_is_known(tmp_path: Path) -> None:
     damages = {
         "R_world_camera": np.diag([1.0, 1, -1]),
         "t_world_camera": np.array([np.nan, 0, 0]),
+        "floor": np.array([0, 0, np.nan, 0]),
+        "floor_source": np.array("wall"),
         "world_up": np.array("w"),
         "world_source": np.array(3),
     }

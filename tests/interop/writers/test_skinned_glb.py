@@ -14,6 +14,7 @@ from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
 from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.skinned_glb import skinned_glb, slow_factor, slow_frames
 from tests.interop.writers.motions import motion_of
 
@@ -89,7 +90,7 @@ class Glb:
 
 @pytest.fixture(scope="module")
 def glb() -> Glb:
-    return Glb(skinned_glb(MOTION, BODY, _PNG))
+    return Glb(skinned_glb(Exported(MOTION, "hfb", BODY, _PNG)))
 
 
 def in_gltf(points: np.ndarray) -> np.ndarray:
@@ -152,7 +153,7 @@ def test_what_the_file_says_about_itself(glb: Glb) -> None:
     image = glb.document["images"][0]
     view = glb.document["bufferViews"][image["bufferView"]]
     assert glb.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] == _PNG
-    plain = Glb(skinned_glb(MOTION, BODY)).document
+    plain = Glb(skinned_glb(Exported(MOTION, "hfb", BODY))).document
     assert "images" not in plain
     assert "baseColorTexture" not in plain["materials"][0]["pbrMetallicRoughness"]
 
@@ -160,7 +161,9 @@ def test_what_the_file_says_about_itself(glb: Glb) -> None:
 def test_the_camera_looks_where_ours_does() -> None:
     """From K alone, where the motion does not say the size of its images; the optical axis is off the middle."""
     K = np.array([[700.0, 0, 350], [0, 720, 220], [0, 0, 1]])
-    document = Glb(skinned_glb(replace(MOTION, K=K, size=(640, 480)), BODY, plate="plate.png")).document
+    document = Glb(
+        skinned_glb(Exported(replace(MOTION, K=K, size=(640, 480)), "hfb", BODY, plate="plate.png"))
+    ).document
     (camera,) = document["cameras"]
     view, extras = camera["perspective"], camera["extras"]
     node = next(one for one in document["nodes"] if one.get("camera") == 0)
@@ -171,11 +174,11 @@ def test_the_camera_looks_where_ours_does() -> None:
     projected = MOTION.joints[3] @ K.T
     np.testing.assert_allclose((0.5 + seen * [1, -1]) * [640, 480], projected[:, :2] / projected[:, 2:], atol=1e-6)
     assert extras["background"] == "plate.png"
-    (guessed,) = Glb(skinned_glb(MOTION, BODY)).document["cameras"]
+    (guessed,) = Glb(skinned_glb(Exported(MOTION, "hfb", BODY))).document["cameras"]
     assert guessed["extras"]["size_px"] == [640, 480]
     assert guessed["extras"]["lens_shift"] == [0, 0]
     with pytest.raises(InputError, match="no focal length"):
-        skinned_glb(replace(MOTION, K=np.diag([0.0, 0, 1])), BODY)
+        skinned_glb(Exported(replace(MOTION, K=np.diag([0.0, 0, 1])), "hfb", BODY))
 
 
 def test_halves_of_frames_and_close_keys() -> None:
@@ -187,7 +190,7 @@ def test_halves_of_frames_and_close_keys() -> None:
 
 def test_another_reader_takes_it() -> None:
     trimesh = pytest.importorskip("trimesh")
-    scene = trimesh.load(io.BytesIO(skinned_glb(MOTION, BODY, _PNG)), file_type="glb")
+    scene = trimesh.load(io.BytesIO(skinned_glb(Exported(MOTION, "hfb", BODY, _PNG))), file_type="glb")
     (mesh,) = scene.geometry.values()
     assert len(mesh.faces) == len(BODY.mesh.faces)
     rest = BODY.shape(torch.from_numpy(MOTION.betas).float()).vertices.numpy()

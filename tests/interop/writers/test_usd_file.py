@@ -12,6 +12,7 @@ from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.evaluation.protocol import pose_rows
 from hfb.geometry.placement import world_of_up, y_up
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.usd_file import write_usd
 from tests.interop.writers.motions import motion_of
 from tests.interop.writers.test_skinned_glb import _PNG
@@ -29,7 +30,7 @@ _BOUND_MM = 1.0
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Usd.Stage:
     path = tmp_path_factory.mktemp("usd") / "motion.usdz"
-    write_usd(path, MOTION, BODY, _PNG, _FPS, "plate.png")
+    write_usd(path, Exported(MOTION, "hfb", BODY, _PNG, fps=_FPS, plate="plate.png"))
     return Usd.Stage.Open(str(path))
 
 
@@ -82,7 +83,7 @@ def test_the_stage_and_its_checks(stage: Usd.Stage, tmp_path: Path) -> None:
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert (stage.GetTimeCodesPerSecond(), stage.GetStartTimeCode()) == (_FPS, 0)
     for name in ("one.usdz", "two.usdz"):
-        write_usd(tmp_path / name, MOTION, BODY, _PNG, _FPS)
+        write_usd(tmp_path / name, Exported(MOTION, "hfb", BODY, _PNG, fps=_FPS))
         time.sleep(2.1)  # the package counts time in steps of two seconds
     assert (tmp_path / "one.usdz").read_bytes() == (tmp_path / "two.usdz").read_bytes()
     validation = pytest.importorskip("pxr.UsdValidation", reason="this usd-core has no validators")

@@ -21,6 +21,7 @@ from hfb.interop.writers.amass import write_amass
 from hfb.interop.writers.bvh import write_bvh
 from hfb.interop.writers.c3d_file import write_c3d
 from hfb.interop.writers.export_world import describe_world
+from hfb.interop.writers.exported import Exported
 from hfb.interop.writers.joint_tables import write_csv, write_trc
 from hfb.interop.writers.keys import even_keys
 from hfb.interop.writers.mesh_files import write_meshes
@@ -88,7 +89,7 @@ def test_all_formats_hold_the_calibrations_world(motion: SampledMotion, up: Worl
     places = bvh.world()[1][:, [bvh.names.index(name) for name in JOINT_NAMES]]
     assert apart_mm(of_y_up(places, up), true) < _BOUND_MM
 
-    glb = Glb(skinned_glb(motion, load_default_body()))
+    glb = Glb(skinned_glb(Exported(motion, "hfb", load_default_body())))
     nodes = glb.document["skins"][0]["joints"]
     posed = [glb.posed(glb.document["animations"][0], key) for key in range(len(motion.times_s))]
     shown = np.array([[worlds[node][:3, 3] for node in nodes] for worlds in posed])
