@@ -57,6 +57,8 @@ def fit_confidence(
 ) -> ConfidenceModel:
     """Fit the coefficients of the log-linear radius and the Weibull law's exponent by weakly regularised likelihood.
 
+    The constant is then moved until half of the errors lie within the radius, whatever law they follow.
+
     Args:
         cases: fits whose errors are known.
         names: the features to use.
@@ -84,10 +86,16 @@ def fit_confidence(
     start = np.concatenate([[log_exponent, np.median(error)], pulled_to])
     held = None if exponent is None else [(log_exponent, log_exponent), *[(None, None)] * (1 + len(names))]
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=held).x
+    constant = found[1] + _median(error - found[1] - scaled @ found[2:], weight)
     slopes = found[2:] / spread
     coefficients = {name: float(slope) for name, slope in zip(names, slopes, strict=True)}
     typical = {name: float(value) for name, value in zip(names, mean, strict=True)}
-    return ConfidenceModel(coefficients, float(found[1] - slopes @ mean), float(np.exp(found[0])), typical)
+    return ConfidenceModel(coefficients, float(constant - slopes @ mean), float(np.exp(found[0])), typical)
+
+
+def _median(values: Float[Array, "n"], weights: Float[Array, "n"]) -> float:
+    order = np.argsort(values)
+    return float(values[order][np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)])
 
 
 def held_out_reliability(

@@ -26,7 +26,7 @@ StartKind = Literal["simulated", "network", "matte"]
 """Source of a first body: simulated from the truth, as benchmarks do; a pose network; the matte's outline alone."""
 
 Features = Mapping[str, Float[Array, "R 24"]]
-_CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")
+_CALIBRATED = ("simulated", "mediapipe", "matte", "between")
 KIND_WORDS: Mapping[str, str] = {
     "simulated": "simulated starts",
     "network": "starts by a pose network",
@@ -80,7 +80,7 @@ def start_kind(source: str) -> StartKind:
     Args:
         source: source of a first body.
     """
-    if source in ("simulated", "truth"):
+    if source == "simulated":
         return "simulated"
     return "matte" if source == "matte" else "network"
 

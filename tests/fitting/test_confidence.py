@@ -92,22 +92,25 @@ def _features(case: Done) -> tuple[SampledMotion, dict[str, np.ndarray]]:
 
 
 def test_radii_follow_the_kind_of_start_frame_by_frame() -> None:
-    """A fit from an estimated start errs twice as much as one from a simulated start."""
+    """A typical joint of a fit from an estimated start errs half as much again as one from a simulated start."""
     features = _features(done())[1]
     index = np.array([0, 0, 0, 1, 1, 1])
     both = shipped_radius_mm(features, index, ["simulated", "mediapipe"])
     alone = {kind: shipped_confidence(kind).radius_mm(features) for kind in get_args(StartKind)}
     np.testing.assert_array_equal(both[:3], alone["simulated"][:3])
     np.testing.assert_array_equal(both[3:], alone["network"][3:])
-    for kind in ("network", "matte"):
-        assert alone[kind][:, 1:].mean() > 1.5 * alone["simulated"][:, 1:].mean()
-    assert [start_kind(name) for name in ("matte", "mediapipe", "WHAM", "between", "metro", "simulated", "truth")] == [
+    models = {kind: shipped_confidence(kind) for kind in get_args(StartKind)}
+    typical = {
+        kind: model.radius_mm({name: np.full((1, 24), value) for name, value in model.typical.items()})[0, 1]
+        for kind, model in models.items()
+    }
+    assert min(typical["network"], typical["matte"]) > 1.5 * typical["simulated"]
+    assert [start_kind(name) for name in ("matte", "mediapipe", "WHAM", "between", "metro", "simulated")] == [
         "matte",
         "network",
         "network",
         "network",
         "network",
-        "simulated",
         "simulated",
     ]
 

@@ -75,7 +75,10 @@ class _OtherStart:
 
 
 class TrueStart(_OtherStart):
-    """Another method that starts from the true body in the middle of every exposure."""
+    """Another method that starts from the true body in the middle of every exposure.
+
+    It is fitted as the start whose place it takes: what corrects simulated starts pulls true ones on real video away.
+    """
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
         """See `Method`. The shape is true too, but where the truth's betas are another body model's."""
@@ -85,7 +88,7 @@ class TrueStart(_OtherStart):
                 truth.poses[row].to(start.pose),
                 truth.translations[row].to(start.translation),
                 start.betas if truth.betas is None else truth.betas.to(start.betas),
-                "truth",
+                start.source,
             )
             for row, start in zip(truth.nearest(middle_times_s(observation)).tolist(), starts, strict=True)
         ]

@@ -103,7 +103,8 @@ def run(options: argparse.Namespace) -> None:
         return
     known = {kind: cases for kind, cases in known.items() if cases}
     write_confidence(known, new, options.features, options.out / "confidence.json")
-    write_trust(known, new, options.out / "directions.json")
+    if len(known) == len(new):  # what one kind's doubt is drawn to are the others'
+        write_trust(known, new, options.out / "directions.json")
 
 
 def cases_of(folders: Sequence[Path], methods: Sequence[str]) -> list[Case]:
@@ -164,7 +165,7 @@ def write_confidence(
 
 
 def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], path: Path) -> None:
-    """Fit how far the odds of directions can be trusted from the same kinds, and measure on people left out.
+    """Fit how far the odds of directions can be trusted from every kind of start, and measure on people left out.
 
     Args:
         cases: per kind of start, to fit to.
@@ -173,6 +174,7 @@ def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKin
     """
     events = {kind: [event for case in some for event in case.events] for kind, some in cases.items()}
     content = read_story(path)
+    content["trust"] = {}
     for kind, trust in fit_trust(events).items():
         print(kind, "directions of the body, on people left out in turn")
         said_right = _said_of_left_out(events, kind)
