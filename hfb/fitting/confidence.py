@@ -137,7 +137,7 @@ def radius_condition(sources: Sequence[str]) -> dict[str, Any]:
     beyond = f" Starts by {', '.join(others)} were not calibrated: a network's radii are taken." if others else ""
     sentence = (
         f"Radii were calibrated on synthetic pictures and checked on other people. From {told}. "
-        "Real pictures were not part of it: there errors are larger, above all where front and back are mistaken."
+        "Real pictures were not part of it: where front and back, or left and right, are mistaken, errors are larger."
         f"{beyond}"
     )
     return {"starts": kinds, "people_held_out": measured, "new_people": new, "holds_for": sentence}

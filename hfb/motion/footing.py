@@ -126,7 +126,6 @@ def floor_fault(motion: SampledMotion) -> str | None:
             return None
         return "no foot stands still, so the floor is taken at the lowest soles: give its plane with --camera.floor"
     slant, off_m = floor_slant_deg(world), lowest_soles_m(motion)
-    where = f"{100 * abs(off_m):.0f} cm {'above' if off_m > 0 else 'below'}"
     if world.source != "level" and slant > _ASLANT_DEG:
         return (
             f"the floor that is given is {slant:.0f} degrees aslant to the world's {world.up} axis, which is up: check "
@@ -134,8 +133,8 @@ def floor_fault(motion: SampledMotion) -> str | None:
         )
     if abs(off_m) > _NEAR_M:
         return (
-            f"the soles are {where} the floor that is given: check "
-            "the height in --camera.floor and the camera's pose, and give --fit.height-m, on which distances hang"
+            f"the soles are {100 * abs(off_m):.0f} cm {'above' if off_m > 0 else 'below'} the floor that is given: "
+            "check the height in --camera.floor and the camera's pose, and give --fit.height-m, on which distances hang"
         )
     return None
 

@@ -110,7 +110,7 @@ def test_the_world_of_exports(result: Path, tmp_path: Path, capsys: pytest.Captu
     told = json.loads(shown.out.splitlines()[-1])["world"]
     assert (told["source"], told["floor"]) == ("calibration", "plane")
     assert main([*words, "--floor", "estimate"]) == 0
-    assert "height 0 is the floor under the standing feet" in capsys.readouterr().err
+    assert "height 0 is told by the feet" in capsys.readouterr().err
     head, *rows = (line.split(",") for line in (result / "export" / "joints.csv").read_text().splitlines())
     assert head[-4:] == ["left_foot_stands", "right_foot_stands", "left_foot_sole_m", "right_foot_sole_m"]
     assert min(abs(float(cell)) for row in rows for cell in row[-2:]) < 0.05

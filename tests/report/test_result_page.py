@@ -166,7 +166,7 @@ def test_it_shows_the_world_and_when_feet_stand() -> None:
     standing = foot_contacts(level)
     facts = {"world": {"says": "height 0 is the <floor>"}}
     text = result_page(ResultContents(title="a", facts=facts, motion=level, body=None))
-    assert "height 0 is the &lt;floor&gt;" in text
+    assert "Height 0 is the &lt;floor&gt;" in text
     paths = re.findall(r'aria-label="when this foot stands"><path d="([^"]*)"', text)
     shown = [[f"M{row} 0h" in path for row in range(len(standing))] for path in paths]
     assert shown == standing.T.tolist()

@@ -1,13 +1,17 @@
 """Radii of one kind of start, fitted where the file holds others."""
 
+import argparse
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import hfb.fitting
+from hfb.errors import InputError
 from hfb.evaluation.calibration import DirectionCase, JointCase
+from hfb.training.confidence import confidence_fit
 from hfb.training.confidence.confidence_fit import Case, write_confidence
 
 _SHIPPED = Path(hfb.fitting.__file__).parent / "data"
@@ -40,3 +44,13 @@ def test_one_kind_is_fitted_and_the_others_stay(tmp_path: Path) -> None:
     assert told["before"]["within_p50"] < 0.3
     assert abs(told["people_held_out"]["within_p50"] - 0.5) < 0.05
     assert told["before"]["n"] == 30
+
+
+def test_new_people_of_a_kind_that_is_not_fitted_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(confidence_fit, "cases_of", lambda folders, _: _cases(doubled=False) if folders else [])
+    parser = argparse.ArgumentParser()
+    confidence_fit.add_flags(parser)
+    words = ["--network", str(tmp_path), "--new-matte", str(tmp_path), "--out", str(tmp_path)]
+    with pytest.raises(InputError, match="--new-matte counts what --matte was fitted to: give both"):
+        confidence_fit.run(parser.parse_args(words))
+    assert not list(tmp_path.iterdir())

@@ -40,7 +40,7 @@ def describe_world(motion: SampledMotion) -> WorldFacts:
     doubtful = world.source in ("rotation", "person", "level")
     if world.source == "level" and world.floor_source == "plane":
         doubtful, says = False, f"up in exports is the normal of the floor that is given: for the camera {angles}"
-    says += {None: "", "plane": "; height 0 is that floor", "feet": "; height 0 is the floor under the standing feet"}[
+    says += {None: "", "plane": "; height 0 is that floor", "feet": "; height 0 is told by the feet"}[
         world.floor_source
     ]
     if lean > _UPRIGHT_DEG and world.source in (*CALIBRATED, "options"):

@@ -125,7 +125,8 @@ def _warnings(facts: Mapping[str, Any]) -> list[str]:
 
 def _remarks(facts: Mapping[str, Any]) -> list[str]:
     remarks, world = facts.get("remarks"), facts.get("world")
-    of_exports = world.get("says") if isinstance(world, Mapping) else None
+    says = world.get("says") if isinstance(world, Mapping) else None
+    of_exports = says[:1].upper() + says[1:] if isinstance(says, str) else None
     said = [facts.get("background"), of_exports, *(remarks if isinstance(remarks, list) else [])]
     return [one for one in said if isinstance(one, str)]
 

@@ -102,6 +102,8 @@ def run(options: argparse.Namespace) -> None:
             raise InputError("no answered case: give --simulated, --network and --matte, or --directions")
         return
     known = {kind: cases for kind, cases in known.items() if cases}
+    if alone := [kind for kind, cases in new.items() if cases and kind not in known]:
+        raise InputError(f"--new-{alone[0]} counts what --{alone[0]} was fitted to: give both")
     write_confidence(known, new, options.features, options.out / "confidence.json")
     if len(known) == len(new):  # what one kind's doubt is drawn to are the others'
         write_trust(known, new, options.out / "directions.json")
