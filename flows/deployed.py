@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from hfb.config import RunConfig, preset
+from hfb.evaluation.baselines.method_spec import program_of
 from hfb.flows import batch as every_clip
 from hfb.flows import fit_image, train_prior
 from hfb.flows.benchmark import run_benchmark
@@ -209,12 +210,14 @@ def benchmark(
         InputError: something given cannot be used, or not one case is left.
     """
     entries = [one.strip() for text in methods or () for one in text.split(",")]
-    configs = [one.partition("=")[2] for one in entries if "=" in one]
+    programs = [program for one in entries if (program := program_of(one))]
+    configs = [one.partition("=")[2] for one in entries if "=" in one and not program_of(one)]
     folders = [videos] if isinstance(videos, Path) else videos
     files = {"motions": motions, "videos": folders, "body": body, "methods": configs}
     with _on_a_worker(out, None, workers, store, **files):
         if places.is_limited():
             places.check_programs("chains", chains)
+            places.check_programs("methods", programs)
         args = argparse.Namespace(
             set=set,
             count=count,

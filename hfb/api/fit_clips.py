@@ -1,14 +1,18 @@
 """`hfb.fit_clip`: the command `hfb video` as a function, without a server."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
 from hfb.api.call_options import config_of
 from hfb.api.given_images import Image, image_file, image_files, is_one_image, path_of
-from hfb.api.private_call import Progress, in_memory, private_call
+from hfb.api.own_parts import TermFunction, own_parts
+from hfb.api.private_call import Progress, in_memory, options_of, private_call
 from hfb.api.result import Result, result_of
 from hfb.errors import InputError
+from hfb.initialization.initializer import Initializer
+from hfb.matting.matting_protocol import Matting
+from hfb.priors.pose import PosePrior
 from hfb.tasks.chains.clip_chain import fit_clip as run_chain
 from hfb.tasks.inputs.inputs import with_height
 from hfb.tasks.inputs.video_inputs import take_video_inputs
@@ -19,6 +23,10 @@ def fit_clip(
     /,
     background: Image | None = None,
     *,
+    init: str | Path | Initializer | None = None,
+    matting: str | Matting | None = None,
+    prior: str | Path | PosePrior | None = None,
+    extra_terms: Mapping[str, TermFunction | tuple[TermFunction, float]] | None = None,
     clip: str | Path | None = None,
     config: str | Path | None = None,
     on_progress: Progress | None = None,
@@ -34,18 +42,22 @@ def fit_clip(
             arrays (H, W, 3) as of `hfb.fit`.
         background: the same view without the person; or ``"median"`` over time, or ``"still"``, the longest stretch in
             which nobody moves. None: what clip.toml says, else a plate beside the video or folder, else the median.
+        init: as of `hfb.fit`; a function is asked for the key frames, one every ``key_every``.
+        matting: as of `hfb.fit`; a function sees the surroundings of the person alone where others are in the clip.
+        prior: as of `hfb.fit`.
+        extra_terms: as of `hfb.fit`; they are part of every window's loss.
         clip: a clip.toml with calibration, exposure, time range and person; a folder's own is found.
         config: a TOML file of options.
         on_progress: called with a step's name, how much of it is done, and of how much (None where that is not known).
-        **options: those of the command line by the same names, as of `hfb.fit` (``init``, ``matting`` and ``prior`` are
-            names and files here, no functions); those of clips, too: ``average=3``, ``video={"settle": 0}``.
+        **options: those of the command line by the same names, as of `hfb.fit`; those of clips, too: ``average=3``,
+            ``video={"settle": 0}``.
 
     Raises:
         InputError: an input cannot be used; the sentence names the fix.
     """
-    if own := [name for name, value in options.items() if callable(value)]:
-        raise InputError(f"{own[0]} is a function, which only hfb.fit takes: give hfb.fit_clip a name or a file")
-    with private_call(on_progress, keep=True) as folder:
+    options = {**options, **options_of(init=init, matting=matting, prior=prior)}
+    own = own_parts(matting, init, prior, extra_terms)
+    with private_call(on_progress, own=own, keep=True) as folder:
         chosen = config_of(options, config, clip=True)
         if isinstance(video, str | PathLike):
             source: Path | tuple[Path, ...] = path_of(video)

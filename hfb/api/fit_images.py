@@ -14,7 +14,7 @@ from hfb.io.media.images.image_io import read_matte
 from hfb.matting.matting_protocol import Matting
 from hfb.motion.static_pose import FirstBody, load_first_body
 from hfb.priors.pose import PosePrior
-from hfb.tasks.chains.image_chain import OwnParts, find_first_bodies, see_images
+from hfb.tasks.chains.image_chain import find_first_bodies, see_images
 from hfb.tasks.chains.image_chain import fit_images as run_chain
 from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
 from hfb.typing import Array, Float
@@ -56,11 +56,11 @@ def fit(
     Raises:
         InputError: an input cannot be used; the sentence names the fix.
     """
-    own = own_parts(matting, init, prior, extra_terms)
     options = {**options, **options_of(init=init, matting=matting, prior=prior)}
-    with private_call(on_progress, keep=True) as folder:
+    own = own_parts(matting, init, prior, extra_terms)
+    with private_call(on_progress, own=own, keep=True) as folder:
         inputs, chosen, lacks = _take(frames, background, options, folder, clip=clip, config=config)
-        return result_of(run_chain(inputs, chosen, folder, own), folder, lacks)
+        return result_of(run_chain(inputs, chosen, folder), folder, lacks)
 
 
 def matte(
@@ -88,7 +88,7 @@ def matte(
     options = {**options, **options_of(matting=matting)}
     with private_call() as folder:
         inputs, chosen, _ = _take(frame, background, options, folder, clip=clip, config=config)
-        _, (found,) = see_images(inputs, chosen, folder, OwnParts())
+        _, (found,) = see_images(inputs, chosen, folder)
         return read_matte(found.path)
 
 
@@ -116,12 +116,11 @@ def first_body(
     Raises:
         InputError: no person is found.
     """
-    own = own_parts(matting, None, None, None)
     options = {**options, **options_of(init=init, matting=matting)}
-    with private_call() as folder:
+    with private_call(own=own_parts(matting, None, None, None)) as folder:
         inputs, chosen, _ = _take(frame, background, options, folder, clip=clip, config=config)
-        scene, mattes = see_images(inputs, chosen, folder, own)
-        (found,) = find_first_bodies(scene, mattes, inputs=inputs, config=chosen, folder=folder, own=own)
+        scene, mattes = see_images(inputs, chosen, folder)
+        (found,) = find_first_bodies(scene, mattes, inputs=inputs, config=chosen, folder=folder)
         return load_first_body(found.path)
 
 

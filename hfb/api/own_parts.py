@@ -16,7 +16,7 @@ from hfb.matting.matting_protocol import Matting, Picture, Plate
 from hfb.motion.static_pose import FirstBody
 from hfb.objective.own_term import OwnTerm, TermInputs
 from hfb.priors.pose import PosePrior
-from hfb.tasks.chains.image_chain import OwnParts
+from hfb.tasks.core.caller_parts import OwnParts
 from hfb.typing import Array, Float, Tensor
 
 TermFunction: TypeAlias = Callable[[TermInputs], Tensor]

@@ -10,6 +10,7 @@ from typing import TypeAlias
 from hfb.api.given_images import errors_of_calls
 from hfb.errors import InputError
 from hfb.kernels.determinism import one_torch_thread
+from hfb.tasks.core.caller_parts import NO_PARTS, OwnParts, using
 from hfb.tasks.inputs.inputs import Inputs
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.task import without_prefect
@@ -33,17 +34,20 @@ class _Told(progress.Display):
 
 
 @contextmanager
-def private_call(on_progress: Progress | None = None, *, keep: bool = False) -> Iterator[Path]:
+def private_call(
+    on_progress: Progress | None = None, *, own: OwnParts = NO_PARTS, keep: bool = False
+) -> Iterator[Path]:
     """Provide a private folder; tasks run inside the block as plain functions, errors are worded for callers.
 
     Args:
         on_progress: is told every step.
+        own: parts of the caller's own.
         keep: whether the folder stays where nothing failed.
     """
     folder, kept = Path(tempfile.mkdtemp(prefix="hfb-")).resolve(), False
     shown = progress.showing(_Told(on_progress)) if on_progress else nullcontext()
     try:
-        with shown, errors_of_calls(folder), one_torch_thread(), without_prefect():
+        with shown, errors_of_calls(folder), one_torch_thread(), without_prefect(), using(own):
             yield folder
         kept = keep
     finally:

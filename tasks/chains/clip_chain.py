@@ -15,6 +15,7 @@ from hfb.fitting.confidence import radius_condition
 from hfb.interop.writers.export_names import CURVES
 from hfb.tasks.chains.clip_scores import draw, score, warn
 from hfb.tasks.chains.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
+from hfb.tasks.core.caller_parts import NO_PARTS, OwnParts, caller_parts
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
@@ -43,6 +44,7 @@ class ClipFit:
         strip: the image strip.
         curves: losses per iteration, figures per frame.
         seconds: wall time.
+        own: parts of the caller's own.
     """
 
     scene: Scene
@@ -55,6 +57,7 @@ class ClipFit:
     strip: FileHandle
     curves: FileHandle
     seconds: float
+    own: OwnParts
 
     @property
     def inputs(self) -> VideoInputs:
@@ -99,13 +102,14 @@ class ClipFit:
             "seconds": round(self.seconds, 3),
             "mlflow_run_id": None,
             "mlflow_link": None,
-            "pose_networks": [file.path.name for file in self.inputs.networks],
+            "pose_networks": [] if self.own.initializer else [file.path.name for file in self.inputs.networks],
             "background": scene.plate.source,
             "exposure_gain": [list(frame.gain) for frame in scene.frames],
             "remarks": list(scene.footage.remarks),
             "inputs": video_hashes(self.inputs),
             "config": scene.config.model_dump(mode="json"),
             "code": code_version(),
+            **({"own_parts": self.own.names()} if self.own != NO_PARTS else {}),
         }
 
     def record(self, published: Mapping[str, FileHandle], result: dict[str, Any], lacks: tuple[str, ...]) -> RunRecord:
@@ -114,10 +118,15 @@ class ClipFit:
         Args:
             published: the files of the result, by name.
             result: the content of result.json.
-            lacks: see `hfb.tasks.tracking.recipe.Recipe`.
+            lacks: see `hfb.tasks.tracking.recipe.Recipe`; functions of the caller's own come to it.
         """
         return clip_record(
-            self.inputs, self.scene.config, points=self.points, files=published, result=result, lacks=lacks
+            self.inputs,
+            self.scene.config,
+            points=self.points,
+            files=published,
+            result=result,
+            lacks=(*lacks, *self.own.lacks()),
         )
 
 
@@ -167,6 +176,7 @@ def fit_clip(
         strip=draw(scene, fitted, joined),
         curves=clip_curves(fitted.windows, _pairs(scores), folder),
         seconds=time.perf_counter() - began,
+        own=caller_parts(),
     )
 
 

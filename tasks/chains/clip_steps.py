@@ -14,6 +14,7 @@ from hfb.evaluation.warnings import ResultWarning, check_never_left
 from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
 from hfb.io.media.plate import HOLDS_PERSON
 from hfb.matting.exposure_match import describe_gains
+from hfb.tasks.core.caller_parts import caller_parts
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.video_handles import (
     BodyFound,
@@ -209,9 +210,10 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
         InputError: no body is found in any frame.
     """
     config, body, networks = scene.config, scene.inputs.body, scene.inputs.networks
-    if scene.inputs.init_files:
+    own = caller_parts().initializer is not None
+    if scene.inputs.init_files and not own:
         return _bodies_of_result(scene)
-    tell_networks(networks)
+    tell_networks(() if own else networks)
     present = np.array([number in scene.mattes for number in range(len(scene.frames))], bool)
     keys = key_frames(present, config.video.key_every)
     calls = [

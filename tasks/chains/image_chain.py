@@ -13,12 +13,9 @@ from hfb.evaluation.warnings import ResultWarning, check_front
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.fitting.direction_trust import direction_condition
-from hfb.initialization.initializer import Initializer
 from hfb.interop.writers.export_names import CURVES
 from hfb.matting.exposure_match import describe_gains
-from hfb.matting.matting_protocol import Matting
-from hfb.objective.own_term import OwnTerm
-from hfb.priors.pose import PosePrior
+from hfb.tasks.core.caller_parts import NO_PARTS, OwnParts, caller_parts
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from hfb.tasks.image.evaluate import evaluate
@@ -37,21 +34,6 @@ from hfb.tasks.tracking.fit_record import fit_record
 from hfb.tasks.tracking.run_record import RunRecord
 from hfb.tasks.video.external_poses import Look, body_of_result, read_result, require
 from hfb.tasks.video.video_windows import mend_fronts
-
-
-@dataclass(frozen=True)
-class OwnParts:
-    """Parts of the method that a caller in Python replaces; what is not given is as the options say."""
-
-    matting: Matting | None = None
-    initializer: Initializer | None = None
-    pose_prior: PosePrior | None = None
-    terms: tuple[OwnTerm, ...] = ()
-
-    def names(self) -> list[str]:
-        """Return which parts are the caller's, for the result's record: options do not say so."""
-        parts = {"matting": self.matting, "init": self.initializer, "prior": self.pose_prior}
-        return [name for name, part in parts.items() if part] + [f"{one.name} x {one.weight:g}" for one in self.terms]
 
 
 @dataclass(frozen=True)
@@ -123,7 +105,7 @@ class ImageFit:
             "inputs": input_hashes(self.inputs),
             "config": self.config.model_dump(mode="json"),
             "code": code_version(),
-            **({"own_parts": self.own.names()} if self.own != OwnParts() else {}),
+            **({"own_parts": self.own.names()} if self.own != NO_PARTS else {}),
         }
 
     def record(
@@ -143,20 +125,17 @@ class ImageFit:
             scores=self.scores,
             published=published,
             result=result,
-            lacks=(*lacks, *(f"{name} is a function of the caller's" for name in self.own.names())),
+            lacks=(*lacks, *self.own.lacks()),
         )
 
 
-def see_images(
-    inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts
-) -> tuple[ClipHandle, tuple[FileHandle, ...]]:
+def see_images(inputs: Inputs, config: RunConfig, folder: Path) -> tuple[ClipHandle, tuple[FileHandle, ...]]:
     """Check the images and estimate their mattes.
 
     Args:
         inputs: of the run.
         config: all options.
         folder: of intermediate files.
-        own: parts that replace those of the options.
 
     Raises:
         InputError: the images do not fit together, or no person is found.
@@ -181,27 +160,25 @@ def see_images(
             pose_networks=shade_networks(config.init, inputs.networks),
             folder=folder,
             network=inputs.matting,
-            own=own.matting,
         )
         for index in range(len(scene.frames))
     )
     return scene, mattes
 
 
-def fit_images(inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts = OwnParts()) -> ImageFit:
+def fit_images(inputs: Inputs, config: RunConfig, folder: Path) -> ImageFit:
     """Estimate mattes and first bodies, fit, evaluate and draw.
 
     Args:
         inputs: of the run.
         config: all options.
         folder: of intermediate files.
-        own: parts that replace those of the options.
 
     Raises:
         InputError: an input cannot be used.
     """
-    scene, mattes = see_images(inputs, config, folder, own)
-    firsts = find_first_bodies(scene, mattes, inputs=inputs, config=config, folder=folder, own=own)
+    scene, mattes = see_images(inputs, config, folder)
+    firsts = find_first_bodies(scene, mattes, inputs=inputs, config=config, folder=folder)
     numbers, body = tuple(range(len(scene.frames))), inputs.body
     fitted = fit_motion(
         clip=scene,
@@ -212,8 +189,6 @@ def fit_images(inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts = 
         config=config.fit,
         seed=config.seed,
         folder=folder,
-        own_prior=own.pose_prior,
-        own_terms=own.terms,
     )
     scores = evaluate(
         clip=scene,
@@ -244,7 +219,7 @@ def fit_images(inputs: Inputs, config: RunConfig, folder: Path, own: OwnParts = 
         warnings=(*input_warnings(scene.remarks, scene.plate_remarks), *found),
         strip=strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder),
         curves=fit_curves(fitted, folder),
-        own=own,
+        own=caller_parts(),
     )
 
 
@@ -255,7 +230,6 @@ def find_first_bodies(
     inputs: Inputs,
     config: RunConfig,
     folder: Path,
-    own: OwnParts,
 ) -> tuple[FirstBodyHandle, ...]:
     """Return one body per frame: given, from another system's result, or estimated and made consistent in front.
 
@@ -265,7 +239,6 @@ def find_first_bodies(
         inputs: of the run.
         config: all options.
         folder: of intermediate files.
-        own: parts that replace those of the options.
 
     Raises:
         InputError: no person was found, or the other system's result has no body for a frame.
@@ -273,8 +246,9 @@ def find_first_bodies(
     if inputs.first_bodies:
         return tuple(given_body(file) for file in inputs.first_bodies)
     numbers = tuple(range(len(scene.frames)))
-    if own.initializer is not None or not inputs.init_files:
-        tell_networks(inputs.networks if own.initializer is None else ())
+    own = caller_parts().initializer is not None
+    if own or not inputs.init_files:
+        tell_networks(() if own else inputs.networks)
         firsts = tuple(
             first_body(
                 clip=scene,
@@ -284,7 +258,6 @@ def find_first_bodies(
                 config=config.init,
                 networks=inputs.networks,
                 folder=folder,
-                own=own.initializer,
             )
             for index in numbers
         )

@@ -4,8 +4,9 @@ from pathlib import Path
 
 from hfb.config import InitConfig
 from hfb.initialization.fronts import front_doubts
-from hfb.initialization.initializer import Initializer, make_initializer
+from hfb.initialization.initializer import make_initializer
 from hfb.motion.static_pose import load_first_body, save_first_body
+from hfb.tasks.core.caller_parts import caller_parts
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
 from hfb.tasks.inputs.given_networks import with_pose_network
@@ -22,7 +23,6 @@ def first_body(
     config: InitConfig,
     networks: tuple[FileHandle, ...],
     folder: Path,
-    own: Initializer | None = None,
 ) -> FirstBodyHandle:
     """Estimate the body of one frame; of several frames, also the certainty of its front, which must be consistent.
 
@@ -34,13 +34,12 @@ def first_body(
         config: options of the first body.
         networks: the installed pose networks, or the user's own; others give a new estimate.
         folder: where the body goes.
-        own: a caller's method in place of the options', as of `hfb.tasks.image.matte`.
 
     Raises:
         InputError: no person was found.
     """
     seen, model = load_observation(clip.only(index), (mattes[index],)), load_chosen_body(body)
-    initializer = own or make_initializer(with_pose_network(config, networks))
+    initializer = caller_parts().initializer or make_initializer(with_pose_network(config, networks))
     found = initializer(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
     doubt = float(front_doubts(seen, [found], model)[0]) if len(clip.frames) > 1 else 0.0
     path = folder / f"first_body_{index}.npz"

@@ -14,10 +14,9 @@ from hfb.motion.footing import stand
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
 from hfb.objective.floor import floor_terms
-from hfb.objective.own_term import OwnTerm
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_prior import load_motion_prior
-from hfb.priors.pose import PosePrior
+from hfb.tasks.core.caller_parts import caller_parts
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
 from hfb.tasks.task import task
@@ -35,8 +34,6 @@ def fit_motion(
     config: FitConfig,
     seed: int,
     folder: Path,
-    own_prior: PosePrior | None = None,
-    own_terms: tuple[OwnTerm, ...] = (),
 ) -> FitHandle:
     """Minimise eq. (11); leaves the motion, the texture, the mattes it used last and every term's history.
 
@@ -49,22 +46,20 @@ def fit_motion(
         config: options of the fit.
         seed: of the random numbers.
         folder: where the files go.
-        own_prior: a caller's pose prior in place of the options', as of `hfb.tasks.image.matte`.
-        own_terms: a caller's further terms.
     """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
-    firsts = [load_first_body(first.path) for first in first_bodies]
+    firsts, own = [load_first_body(first.path) for first in first_bodies], caller_parts()
     result = fit(
         observation,
         firsts,
         model,
         config,
         seed,
-        own_prior or load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
+        own.pose_prior or load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
         on_progress=progress.advance,
         motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
         other_front=find_other_front(observation, firsts, model, enabled=config.both_fronts),
-        own_terms=(*own_terms, *floor_terms(clip.world, config)),
+        own_terms=(*own.terms, *floor_terms(clip.world, config)),
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
     moving = stand(replace(result.motion, world=clip.world, size=(clip.width, clip.height)))

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from hfb.config import MattingConfig
 from hfb.io.media.images.image_io import write_matte
-from hfb.matting.matting_protocol import Matting
 from hfb.networks.mediapipe_files import LandmarkChoice
+from hfb.tasks.core.caller_parts import caller_parts
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import load_image
 from hfb.tasks.inputs.given_networks import person_matting
@@ -22,7 +22,6 @@ def matte(
     pose_networks: tuple[FileHandle, ...],
     folder: Path,
     network: FileHandle | None = None,
-    own: Matting | None = None,
 ) -> FileHandle:
     """Estimate the matte of one frame, as a 16-bit image.
 
@@ -34,13 +33,12 @@ def matte(
         pose_networks: those that tell the person from shade on the floor, by `shade_networks`.
         folder: where the matte goes.
         network: the user's own, for methods that need one.
-        own: a caller's method in place of the options'; only without Prefect, since a function has no digest.
 
     Raises:
         InputError: nothing differs from the background, or this machine has other pose networks.
     """
     frame, plate = load_image(clip.frames[index], clip), load_image(clip.background, clip)
-    matting = own or person_matting(config, network, landmarks, pose_networks)
+    matting = caller_parts().matting or person_matting(config, network, landmarks, pose_networks)
     path = folder / f"matte_{index}.png"
     write_matte(path, matting(frame.numpy(), plate.numpy()))
     return FileHandle.of(path)

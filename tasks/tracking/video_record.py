@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hfb.config import RunConfig
@@ -162,7 +163,9 @@ def clip_record(
         result: content of result.json.
         lacks: see `hfb.tasks.tracking.recipe.Recipe`.
     """
-    params, key, tags = _identity(inputs, config)
+    own = result.get("own_parts")  # functions have no hash: what they lead to tells runs apart
+    apart = {"own_parts": own, "motion": files["motion.npz"].sha256} if own else {}
+    params, key, tags = _identity(inputs, config, apart)
     made_of = recipe("video", config, inputs, files, code=code_version(), lacks=lacks)
     options = config.model_dump(mode="json")
     return RunRecord(
@@ -177,12 +180,15 @@ def clip_record(
     )
 
 
-def _identity(inputs: VideoInputs, config: RunConfig) -> tuple[dict[str, Any], str, dict[str, str]]:
-    """Return parameters, key and tags of a clip's run."""
+def _identity(
+    inputs: VideoInputs, config: RunConfig, apart: Mapping[str, Any] = MappingProxyType({})
+) -> tuple[dict[str, Any], str, dict[str, str]]:
+    """Return parameters, key and tags of a clip's run, with what else tells it apart from others."""
     params = {
         **config.model_dump(mode="json"),
         "input": video_hashes(inputs),
         "clip": inputs.clip.model_dump(mode="json"),
+        **apart,
     }
     tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video"}
     return params, digest(["video", params, code_version()]), tags

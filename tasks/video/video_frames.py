@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
 from hfb.networks.mediapipe_files import LandmarkChoice
+from hfb.tasks.core.caller_parts import caller_parts
 from hfb.tasks.core.handles import Call, FileHandle, FirstBodyHandle, FrameHandle
 from hfb.tasks.core.video_handles import BodyFound, FootageHandle, FrameCall, FramesHandle, MatteHandle, SeenFrameCall
 from hfb.tasks.inputs.given_networks import check_networks, person_matting, with_pose_network
@@ -113,7 +114,7 @@ def find_matte(call: MatteCall) -> MatteHandle:
     from hfb.tasks.core.scene import load_image
     from hfb.tracking.tracks import keep_person, surroundings
 
-    matting = person_matting(call.config, call.network, call.landmarks, call.pose_networks)
+    matting = caller_parts().matting or person_matting(call.config, call.network, call.landmarks, call.pose_networks)
     frame, plate = (load_image(one, call.still).numpy() for one in (call.still.frames[0], call.still.background))
     # A matte is of the largest thing that differs, which may be somebody else: each is then looked at alone.
     near = np.s_[:, :] if call.alone else surroundings(np.asarray(call.box), *frame.shape[:2])
@@ -139,8 +140,10 @@ def find_key_body(call: KeyBodyCall) -> BodyFound:
     from hfb.initialization.initializer import make_initializer
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
-    check_networks(call.config, call.networks)
-    initializer = make_initializer(with_pose_network(call.config, call.networks))
+    initializer = caller_parts().initializer
+    if initializer is None:
+        check_networks(call.config, call.networks)
+        initializer = make_initializer(with_pose_network(call.config, call.networks))
     seen, model = load_observation(call.still, (call.matte,)), load_chosen_body(call.body)
     try:
         found = initializer(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hfb.config import FitConfig
 from hfb.io.atomic import write_bytes_atomic
+from hfb.tasks.core.caller_parts import caller_parts
 from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
 from hfb.tasks.core.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, SeenFrameCall, WindowHandle
 from hfb.tasks.task import BatchFunction, Where, task
@@ -152,7 +153,7 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
     from hfb.priors.motion_prior import load_motion_prior
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
-    shared = calls[0]
+    shared, own = calls[0], caller_parts()
     model = load_chosen_body(shared.body)
     scenes = []
     for call in calls:
@@ -167,9 +168,9 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
         model,
         shared.config,
         seed=shared.seed,
-        pose_prior=load_pose_prior(pose.path if pose else None, shared.priors.kind),
+        pose_prior=own.pose_prior or load_pose_prior(pose.path if pose else None, shared.priors.kind),
         motion_prior=load_motion_prior(motion.path if motion else None),
-        own_terms=floor_terms(shared.clip.world, shared.config),
+        own_terms=(*own.terms, *floor_terms(shared.clip.world, shared.config)),
     )
     handles = []
     for call, found in zip(calls, fits, strict=True):

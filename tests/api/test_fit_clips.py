@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,14 @@ from PIL import Image
 import hfb
 from hfb.api.call_options import config_of
 from hfb.api.given_images import image_files
+from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
 from hfb.flows.record import record_folder
 from hfb.flows.rerun import plan_rerun, repeat
+from hfb.initialization.initializer import make_initializer
+from hfb.matting.methods import make_matting
 from hfb.motion.motion_file import load_motion
+from hfb.priors.load import load_pose_prior
 from tests.api.conftest import TINY
 from tests.api.test_fit_images import ARRAYS
 from tests.orchestration import Problem
@@ -95,6 +100,41 @@ def test_frames_in_memory_and_gaps(store: Path, tmp_path: Path) -> None:
         plan_rerun(one["mlflow_run_id"])
 
 
+@pytest.mark.integration
+def test_functions_take_the_place_of_options(motion: hfb.Result, store: Path, tmp_path: Path) -> None:
+    """Those that do what the options would do give the same digits; a term of the caller's own moves the body."""
+    asked: dict[str, int] = {"matting": 0, "init": 0, "prior": 0, "low": 0}
+
+    def counted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*given: Any) -> Any:
+            asked[name] += 1
+            return function(*given)
+
+        return call
+
+    own: dict[str, Any] = {
+        "matting": counted("matting", make_matting(MattingConfig(method="known-background"))),
+        "init": counted("init", make_initializer(InitConfig(method="matte"))),
+        "prior": counted("prior", load_pose_prior(None, "anatomy")),
+    }
+    source = small_clip().truth.parent
+    same = hfb.fit_clip(source, **SMALL | own)
+    for name in ARRAYS:
+        assert np.array_equal(getattr(same.motion, name), getattr(motion.motion, name), equal_nan=True), name
+    assert same.facts["own_parts"] == ["matting", "init", "prior"]
+    low = {"low": (counted("low", lambda seen: seen.joints[..., 1].mean()), 100.0)}
+    moved = hfb.fit_clip(source, extra_terms=low, **SMALL)
+    assert moved.joints[..., 1].mean() < motion.joints[..., 1].mean() - 0.01
+    assert all(count > 0 for count in asked.values())
+    with pytest.raises(InputError, match="since low x 100 is a function of the caller's: repeat its call"):
+        plan_rerun(str(moved.save(tmp_path / "moved")))
+    ids = set()
+    for name, result in (("plain", motion), ("same", same), ("moved", moved)):
+        folder = tmp_path / name if name == "moved" else result.save(tmp_path / name)
+        ids.add(record_folder(folder)["runs"][0]["mlflow_run_id"])
+    assert len(ids) == 3
+
+
 @pytest.mark.parametrize("own", [False, True])
 def test_a_saved_fit_is_made_again(
     problem: Problem, fitted: hfb.Result, store: Path, tmp_path: Path, own: bool
@@ -137,7 +177,7 @@ SQUARE = np.zeros((96, 96, 3), np.uint8)
         ([SQUARE], {"background": SQUARE}, "nobody"),
         ("none.mp4", {}, "none.mp4 does not exist"),
         ("empty", {}, "empty holds neither a video nor pictures"),
-        ([SQUARE, SQUARE], {"init": lambda *_: None}, "init is a function, which only hfb.fit takes"),
+        ([SQUARE, SQUARE], {"extra_terms": {"loss": lambda _: 0}}, "the extra term 'loss' has the name of a term"),
         ([SQUARE, SQUARE], {"windw": 3}, "unknown option windw; did you mean window"),
         ([SQUARE, SQUARE], {"window": 9}, "video.window: Input should be less than or equal to 5"),
         ([SQUARE, SQUARE], {"clip": "clip.toml"}, "clip.toml means everyone"),

@@ -14,7 +14,8 @@ SIGNATURES = {
     "first_body": "(frame, background, *, init=None, matting=None, clip=None, config=None, **options)",
     "fit": "(frames, background, *, init=None, matting=None, prior=None, extra_terms=None, clip=None, config=None, "
     "on_progress=None, **options)",
-    "fit_clip": "(video, /, background=None, *, clip=None, config=None, on_progress=None, **options)",
+    "fit_clip": "(video, /, background=None, *, init=None, matting=None, prior=None, extra_terms=None, clip=None, "
+    "config=None, on_progress=None, **options)",
     "load_body": "(model=None)",
     "load_result": "(folder)",
     "matte": "(frame, background, *, matting=None, clip=None, config=None, **options)",

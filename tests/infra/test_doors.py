@@ -298,6 +298,7 @@ def test_parameters_point_into_the_folder_of_the_data(here: Team, worker: None, 
     (data / "out-of-it").symlink_to(here.folder / "secrets")
     (data / "net.pt").write_text("no network")
     (data / "method.toml").write_text("seed = 1")
+    (data / "method.py").write_text("def f(observation, starts): ...\n1 / 0\n")
     (data / "method-out").symlink_to(here.folder / "secrets" / "prefect_admin")
     good = {"source": str(data), "out": str(data / "out")}
     compared = {"out": str(data / "compared"), "count": 1}
@@ -308,6 +309,7 @@ def test_parameters_point_into_the_folder_of_the_data(here: Team, worker: None, 
         "store: ": ("clip/video", good | {"store": "s3://mlflow/1"}),
         "methods: ": ("methods/benchmark", compared | {"methods": [f"a={data}/method.toml,b=/etc/passwd"]}),
         "methods: b": ("methods/benchmark", compared | {"methods": [f"b={data}/method-out "]}),
+        "methods: function": ("methods/benchmark", compared | {"methods": [f"static,c={data}/method.py:f"]}),
         "options.matting.weights: ": (
             "fit/fit",
             fit | {"options": {"matting": {"method": "bgmv2", "weights": str(data / "net.pt")}}},

@@ -15,6 +15,7 @@ from hfb.evaluation.baselines.oracles import (
     TrueStart,
     TwoStageOracle,
 )
+from hfb.evaluation.baselines.own_function import OwnFunction
 from hfb.evaluation.baselines.shape_from_blur import ShapeFromBlur
 from hfb.evaluation.baselines.static import Static
 from hfb.initialization.initializer import make_initializer
@@ -59,5 +60,7 @@ def _plain(spec: MethodSpec, body: Body) -> Method:
         assert spec.estimator is not None
         own = None if spec.estimator == "simulated" else make_initializer(InitConfig(method=spec.estimator))
         return TwoStageOracle(spec.name, own, subframes, spec.config.seed, body)
+    if spec.function is not None:
+        return OwnFunction(spec.name, spec.function, body)
     assert spec.chain is not None
     return Chain(spec.name, spec.chain, subframes, body)

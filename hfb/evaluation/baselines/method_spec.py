@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import re
 from collections.abc import Callable, Mapping
@@ -14,7 +15,7 @@ from hfb.evaluation.baselines.chain_spec import ChainSpec, read_chains
 from hfb.io.toml_file import merged, read_toml, to_record
 from hfb.networks.mediapipe_files import networks_in_use, sha256_of
 
-Kind = Literal["static", "interpolated", "sfb", "mfb", "fit", "oracle", "middle", "floor", "chain"]
+Kind = Literal["static", "interpolated", "sfb", "mfb", "fit", "oracle", "middle", "floor", "chain", "own"]
 Oracle = Literal["true-matte", "true-start", "true-height", "true-front"]
 Estimator = Literal["mediapipe", "matte", "simulated"]
 
@@ -31,6 +32,7 @@ METHOD_NAMES: Mapping[str, str] = {
     "oracle-middle": "real video: hfb's start on the TRUE sharp frame in the middle of the exposure, held still",
     "oracle-floor": "the body registered to the true joints: the lowest error that poses can reach",
     "NAME=FILE.toml": "Human from Blur with your own options, as for `hfb fit --config FILE.toml`",
+    "NAME=FILE.py:FUNCTION": "a function of your own, of the frames and the starts; its file is run",
 }
 """Names of methods with one line each, for the help."""
 
@@ -54,6 +56,7 @@ def _without_evidence(fit: FitConfig) -> FitConfig:
     return _without("joints", "path", "height")(fit).model_copy(update={"settle": 0, "compare": 0.0})
 
 
+_NAME = re.compile(r"\w[\w.+@-]*")
 _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
     **{f"no-{weight}": _without(weight) for weight in Weights.model_fields},
     "no-pyramid": _stage_of_all,
@@ -107,6 +110,7 @@ class MethodSpec(Record):
 
     Attributes:
         name: as the user wrote it, without ``=FILE``; the name in every table.
+        function: FILE.py:FUNCTION of the user's own method.
         config: options of a fit; of every other method only the number of sub-frames and the seed count.
         frames_alone: each frame is fitted as if there were no others.
         oracles: parts of the truth that it is given.
@@ -122,6 +126,7 @@ class MethodSpec(Record):
     oracles: tuple[Oracle, ...] = ()
     estimator: Estimator | None = None
     chain: ChainSpec | None = None
+    function: str | None = None
     digests: tuple[FileDigest, ...] = ()
 
     def files(self) -> list[Path]:
@@ -140,12 +145,18 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
         InputError: no such method, or a file it needs is missing or wrong.
     """
     name, equals, file = text.strip().partition("=")
+    if (name or equals) and not _NAME.fullmatch(name):
+        raise InputError(f"method {name!r} is to be a folder's name: letters, digits, and . _ + - between them")
     base, *oracles = name.split("@")
     wrong = [oracle for oracle in oracles if oracle not in get_args(Oracle)]
     if wrong:
         known = ", ".join(f"@{oracle}" for oracle in get_args(Oracle))
         raise InputError(f"method {name}: unknown oracle @{wrong[0]}; there are {known}")
-    if equals:
+    program = program_of(text)
+    if program:
+        _check_function(file)
+        spec = MethodSpec(name=name, kind="own", config=RunConfig(), function=file)
+    elif equals:
         spec = MethodSpec(name=name, kind="fit", config=_config_of(Path(file)))
     else:
         spec = _named(base, chains)
@@ -154,7 +165,7 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     if "true-matte" in oracles:  # it is exact: no network finds a better one
         exact = spec.config.fit.model_copy(update={"matte_again": False})
         spec = spec.model_copy(update={"config": spec.config.model_copy(update={"fit": exact})})
-    paths = list(spec.chain.paths()) if spec.chain else []
+    paths = [program] if program else list(spec.chain.paths()) if spec.chain else []
     if spec.kind == "fit":
         paths += [path for path in (spec.config.prior.pose, spec.config.prior.motion) if path is not None]
     if spec.kind == "middle" or "mediapipe" in (spec.estimator, spec.chain.estimator if spec.chain else None):
@@ -164,6 +175,30 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     ]  # weights of large ONNX
     digests = tuple(FileDigest(path=path, sha256=digest(path)) for path in paths)
     return spec.model_copy(update={"name": name, "oracles": tuple(oracles), "digests": digests})
+
+
+def program_of(text: str) -> Path | None:
+    """Return the file of an entry of `--methods` that names a function, NAME=FILE.py:FUNCTION; None for others.
+
+    Args:
+        text: the entry.
+    """
+    file, colon, _ = text.partition("=")[2].strip().rpartition(":")
+    return Path(file) if colon and file.endswith(".py") else None
+
+
+def _check_function(text: str) -> None:
+    """Refuse a file without such a function; it is not run."""
+    file, _, name = text.rpartition(":")
+    try:
+        parsed = ast.parse(Path(file).read_bytes())
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}): a method is a function in it") from None
+    except (SyntaxError, ValueError) as error:
+        raise InputError(f"{file} is no Python ({error})") from None
+    there = [one.name for one in parsed.body if isinstance(one, ast.FunctionDef)]
+    if name not in there:
+        raise InputError(f"{file} has no function {name!r} at its top level; it has {', '.join(there) or 'none'}")
 
 
 def _named(base: str, chains: Path | None) -> MethodSpec:
