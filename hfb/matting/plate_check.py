@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from hfb.matting.alignment import MOST_PX, find_movement, moved_plate
+from hfb.matting.alignment import MOST_PX, Movement, find_movement, moved_plate
 from hfb.matting.camera_noise import GAINS, exposure_gain
 from hfb.matting.exposure_match import Gain
 from hfb.matting.matting_protocol import clean, shrink
@@ -17,7 +17,8 @@ from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Bool, Float
 
 _ALIGNED_AT_PX, _JUDGED_AT_PX, _LOOKED_AT_PX = 640, 320, 256
-_FOUND_PX = 3 * MOST_PX
+_FOUND_PX = 9 * MOST_PX
+"""Stabilisers move a crop so far; an edge farther off is no longer found near its own."""
 _FOUND_GAINS = (0.2, 5.0)
 """Range of gains, wider than the matting's correction, so that the reported problem is certain."""
 _AWAY_PX = 17
@@ -39,9 +40,9 @@ def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float
     """
     frame, plate = (shrink(picture, _ALIGNED_AT_PX) for picture in (frame_linear, plate_linear))
     movement = find_movement(frame, plate, _FOUND_PX)
-    beside_px = 0.0
+    apart_px = 0.0
     if movement is not None:
-        beside_px = movement.farthest_px(*frame.shape[:2])
+        apart_px = _beyond(movement, frame_linear)
         plate = moved_plate(plate, movement)
     frame, plate = (np.clip(shrink(picture, _JUDGED_AT_PX), 0, 1) for picture in (frame, plate))
     gain, off = exposure_gain(frame, plate, _FOUND_GAINS), 0.0
@@ -51,9 +52,8 @@ def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float
         off = _edges_off(frame, np.clip(plate * gain, 0, 1), empty)
     left_over = float(np.abs(np.log(gain / np.clip(gain, *GAINS))).max())
     wrong, mend = [], []
-    if beside_px > MOST_PX or off > _MOST_OFF:
-        apart_px = beside_px * max(frame_linear.shape[:2]) / min(_ALIGNED_AT_PX, max(frame_linear.shape[:2]))
-        wrong.append("do not lie on each other" + (f" (about {apart_px:.0f} px apart)" if beside_px > MOST_PX else ""))
+    if apart_px or off > _MOST_OFF:
+        wrong.append("do not lie on each other" + (f" (about {apart_px:.0f} px apart)" if apart_px else ""))
         mend.append("register the plate to the frame")
     if left_over > _MOST_GAIN:
         wrong.append(f"differ in exposure (by a factor of about {float(np.exp(np.log(gain).mean())):.2g})")
@@ -64,6 +64,41 @@ def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float
         f"the background plate and the frame {' and '.join(wrong)}, so that the matte will hold parts of the room: "
         f"{' and '.join(mend)}, or give a plate of the same clip, camera position and exposure (--background)"
     )
+
+
+def plate_distance_px(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> float:
+    """Return how far a frame lies beside its plate [px]; 0 where the matting corrects it, or no movement is found.
+
+    Args:
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], in the frame's size.
+    """
+    frame, plate = (shrink(picture, _ALIGNED_AT_PX) for picture in (frame_linear, plate_linear))
+    movement = find_movement(frame, plate, _FOUND_PX)
+    return 0.0 if movement is None else _beyond(movement, frame_linear)
+
+
+def tell_distances(distances_px: Sequence[float]) -> str | None:
+    """Return a sentence where some frames lie beside the plate; None where none does.
+
+    Args:
+        distances_px: of some frames, by `plate_distance_px`.
+    """
+    if not any(distances_px):
+        return None
+    return (
+        f"the camera, or the crop of its stabiliser, moves against the plate (by about {max(distances_px):.0f} px), so "
+        "that mattes will hold parts of the room and the motion holds the crop's: film with stabilisation switched "
+        "off, or register the frames to the plate"
+    )
+
+
+def _beyond(movement: Movement, frame_linear: Float[Array, "H W 3"]) -> float:
+    """Return a movement in the frame's own pixels; 0 where alignment.py corrects it."""
+    longer = max(frame_linear.shape[:2])
+    scale = min(1.0, _ALIGNED_AT_PX / longer)
+    farthest_px = movement.farthest_px(round(scale * frame_linear.shape[0]), round(scale * frame_linear.shape[1]))
+    return farthest_px / scale if farthest_px > MOST_PX else 0.0
 
 
 def tell_exposures(gains: Sequence[Gain]) -> str | None:

@@ -14,6 +14,7 @@ from hfb.evaluation.warnings import ResultWarning, check_never_left
 from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
 from hfb.io.media.plate import HOLDS_PERSON
 from hfb.matting.exposure_match import describe_gains
+from hfb.matting.plate_check import tell_distances
 from hfb.tasks.core.caller_parts import caller_parts
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, FrontRecord, PriorsHandle
 from hfb.tasks.core.video_handles import (
@@ -155,7 +156,6 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[],
     progress.say(f"hfb: {plate.source}")
     track = find_person(footage, plate, inputs.clip.person, inputs.track)
     plate_faults = _check_plate(inputs, plate, track)
-    tell(plate_faults)
     alone = track.others == 0
     if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
@@ -163,7 +163,11 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[],
         ExtractCall(footage=footage, plate=plate, start=at, stop=min(at + CHUNK, footage.count), folder=folder)
         for at in range(0, footage.count, CHUNK)
     ]
-    frames = tuple(file for chunk in require_all(extract_frames, chunks, "frames", look) for file in chunk.files)
+    extracted = require_all(extract_frames, chunks, "frames", look)
+    frames = tuple(file for chunk in extracted for file in chunk.files)
+    if moves := tell_distances([distance for chunk in extracted for distance in chunk.beside_px]):
+        plate_faults += input_warnings((moves,), (moves,))
+    tell(plate_faults)
     if exposures := describe_gains([frame.gain for frame in frames]):
         progress.say(f"hfb: {exposures}")
     calls = [

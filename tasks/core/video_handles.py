@@ -79,9 +79,14 @@ class FootageHandle(FileHandle):
 
 
 class FramesHandle(Record):
-    """Some of a clip's frames as image files."""
+    """Some of a clip's frames as image files.
+
+    Attributes:
+        beside_px: how far the first and the last of them lie beside the plate [px].
+    """
 
     files: tuple[FrameHandle, ...]
+    beside_px: tuple[float, ...] = ()
 
 
 class PlateHandle(FileHandle):

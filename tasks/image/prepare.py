@@ -45,13 +45,14 @@ def prepare(
         InputError: a file is no image, or its size is not the plate's.
     """
     from hfb.io.media.plate import HOLDS_PERSON, seems_to_hold_person
-    from hfb.matting.plate_check import find_plate_mismatch, tell_exposures
+    from hfb.matting.plate_check import find_plate_mismatch, plate_distance_px, tell_distances, tell_exposures
 
     images = _Images(clip.transfer, exposure.light)
     plate, plate_linear = images.read(background)
     with_person: list[bool] = []
     matched: list[FrameHandle] = []
     told: str | None = None
+    apart_px: list[float] = []
     height, width = plate.shape[:2]
     for number, frame in enumerate(frames):
         image, image_linear = images.read(frame)
@@ -69,7 +70,9 @@ def prepare(
         with_person.append(seems_to_hold_person(image, plate))
         if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
             told = find_plate_mismatch(image_linear, plate_linear)
-    told = told or tell_exposures([one.gain for one in matched])
+        if number or told is not None:  # else the first frame was found to lie on the plate
+            apart_px.append(plate_distance_px(image_linear, plate_linear))
+    told = told or tell_distances(apart_px) or tell_exposures([one.gain for one in matched])
     doubts = (told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(with_person) else ()
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = find_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s

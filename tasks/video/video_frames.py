@@ -80,6 +80,7 @@ def extract_frames(call: ExtractCall) -> FramesHandle:
     """
     from hfb.io.media.images.image_io import read_picture_srgb, write_png
     from hfb.matting.exposure_match import frame_gain
+    from hfb.matting.plate_check import plate_distance_px
     from hfb.tasks.core.scene import in_light
     from hfb.tasks.video.video_clip import reading
 
@@ -89,16 +90,19 @@ def extract_frames(call: ExtractCall) -> FramesHandle:
     empty = linear(read_picture_srgb(call.plate.path))
     start, stop, bits = call.start, call.stop, call.footage.bits
     frames: list[FrameHandle] = []
+    beside_px: list[float] = []
     with reading(call.footage, start, stop) as footage:
         for number, frame in enumerate(footage.frames(start, stop), start):
             path = call.folder / f"frame_{number:06d}.png"
             write_png(path, frame, bits=bits)
             frames.append(FrameHandle.of(path, gain=frame_gain(linear(frame), empty)))
+            if number in (start, stop - 1):
+                beside_px.append(plate_distance_px(linear(frame), empty))
     if len(frames) != stop - start:
         raise InputError(
             f"frame {start + len(frames)} can no longer be read: the footage has changed; run the same command again"
         )
-    return FramesHandle(files=tuple(frames))
+    return FramesHandle(files=tuple(frames), beside_px=tuple(beside_px))
 
 
 @task("mattes", where="cluster")

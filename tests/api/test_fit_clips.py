@@ -135,6 +135,17 @@ def test_functions_take_the_place_of_options(motion: hfb.Result, store: Path, tm
     assert len(ids) == 3
 
 
+def test_a_crop_that_moves_is_told(motion: hfb.Result) -> None:
+    made = small_clip(7, leaves=(3, 5))
+    frames = [np.array(Image.open(path)) for path in sorted(made.source.iterdir())]
+    for frame in frames[4:]:
+        frame[:] = np.roll(frame, 7, axis=1)
+    found = hfb.fit_clip(frames, made.background, clip=made.clip, **SMALL).warnings
+    (told,) = [one for one in found if "crop of its stabiliser" in one]
+    assert "moves against the plate (by about 7 px)" in told
+    assert not any("stabiliser" in one for one in motion.warnings)
+
+
 @pytest.mark.parametrize("own", [False, True])
 def test_a_saved_fit_is_made_again(
     problem: Problem, fitted: hfb.Result, store: Path, tmp_path: Path, own: bool

@@ -1,5 +1,6 @@
 """A plate that does not belong to the frame is told; noise, shadow, a small gain and a small movement are none."""
 
+import re
 from pathlib import Path
 
 import cv2
@@ -91,3 +92,15 @@ def test_real_clips_pass(shared_data: Path) -> None:
     ):
         frame = average_frames(read_frames(shared_data / folder / clip, 20, 26))
         assert find_plate_mismatch(frame, linear(shared_data / folder / plate)) is None
+
+
+@pytest.mark.parametrize(("right_px", "down_px"), [(14.0, -9.0), (22.0, -10.0), (-30.0, 10.0)])
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_stabilised_crop_that_moved_far_is_told_with_its_distance(
+    tmp_path: Path, seed: int, right_px: float, down_px: float
+) -> None:
+    paths = write_example(tmp_path, seed)
+    said = find_plate_mismatch(linear(paths.frame), shifted(linear(paths.background), right_px, down_px))
+    found = re.search(r"\(about (\d+) px apart\)", str(said))
+    assert found is not None
+    assert int(found[1]) == pytest.approx(np.hypot(right_px, down_px), abs=1)

@@ -118,7 +118,7 @@ def test_a_frame_of_another_exposure_is_loaded_in_its_plates(tmp_path: Path, tra
 
 @pytest.mark.parametrize("transfer", ["srgb", "linear"])
 def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path, transfer: str) -> None:
-    """By one sentence that names the fix, and only where every frame shows it."""
+    """By one sentence that names the fix; where frames differ the camera, or its crop, has moved."""
     scene = composite(generated_plate("clouds"), 16, 3)
     pictures = {
         "right": scene.frame,
@@ -145,7 +145,10 @@ def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path,
     assert "register the plate to the frame, or give a plate of the same clip" in beside
     assert "differ in exposure (by a factor of about 1.6)" in bright
     assert "(--background)" in bright
-    assert remarks("right", "beside") == remarks("beside", "right") == ()
+    (moved,) = remarks("right", "beside")
+    assert remarks("beside", "right") == (moved,)
+    assert "the crop of its stabiliser, moves against the plate (by about 5 px)" in moved
+    assert remarks("right", "right") == ()
 
 
 def test_a_remark_on_a_file_is_no_remark_on_the_plate(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """A folder of recordings as a source of motions."""
 
 import logging
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +16,8 @@ from hfb.errors import InputError
 
 _log = logging.getLogger(__name__)
 _TEXTS = (".txt", ".json")
+_NO_MOTION = re.compile(r"shape|.+_stagei")
+"""Files of AMASS that describe its people."""
 _KEPT = 4
 """Clips held in memory by each process: neighbouring cases often share one."""
 
@@ -22,7 +25,8 @@ _KEPT = 4
 class FolderMotions:
     """A `MotionSource` of all recordings below a folder, sorted by their relative paths.
 
-    Hidden files are ignored. A folder with the frames of a CAPE sequence is one motion.
+    Hidden files are ignored, and so are AMASS's of its people (`shape.npz`, `neutral_stagei.npz`). A folder with the
+    frames of a CAPE sequence is one motion.
 
     Args:
         folder: folder of the recordings.
@@ -39,7 +43,8 @@ class FolderMotions:
         found: dict[str, list[Path]] = {}
         for path in folder.rglob("*"):
             relative = path.relative_to(folder)
-            if any(part.startswith(".") for part in relative.parts) or not path.is_file():
+            hidden = any(part.startswith(".") for part in relative.parts) or _NO_MOTION.fullmatch(path.stem)
+            if hidden or not path.is_file():
                 continue
             frame = FRAME_FILE.match(path.name)
             if frame:

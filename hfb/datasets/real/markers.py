@@ -23,6 +23,7 @@ _UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 _SIDES = {"left": "left", "right": "right", "l": "left", "r": "right"}
 _FAR_M = 1000.0
+_TOLERANCE = 0.15  # of a frame: times of whole milliseconds at 240 Hz
 
 
 @dataclass(frozen=True)
@@ -63,16 +64,17 @@ class Markers:
 
 
 def smpl_joint(name: str) -> int | None:
-    """Return the SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", LWrist and the like.
+    """Return the SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", "Anna:LHJC" and the like.
 
     Args:
         name: name of the marker.
     """
-    word = "".join(letter for letter in name.lower() if letter.isalnum())
+    word = "".join(letter for letter in name.rpartition(":")[2].lower() if letter.isalnum())
     for limb in _LIMBS:
-        side = _SIDES.get(word.removesuffix(limb)) or _SIDES.get(word.removeprefix(limb))
-        if side and limb in word:
-            return JOINT_NAMES.index(f"{side}_{limb}")
+        for part in (limb, f"{limb[0]}jc"):  # HJC is a hip's joint centre
+            side = _SIDES.get(word.removesuffix(part)) or _SIDES.get(word.removeprefix(part))
+            if side and part in word:
+                return JOINT_NAMES.index(f"{side}_{limb}")
     return None
 
 
@@ -119,7 +121,7 @@ def read_joints_npz(path: Path) -> Markers:
 def read_trc(path: Path) -> Markers:
     """Read OpenSim's .trc: tab-separated, a header of five lines, then frame number, time and x y z per marker.
 
-    A gap is an empty cell. Rows are placed by their time: frame = time * rate.
+    A gap is an empty cell. Rows are placed by their time: frame = time * rate, the DataRate or that of even times.
 
     Args:
         path: the file.
@@ -128,7 +130,7 @@ def read_trc(path: Path) -> Markers:
         InputError: missing, no .trc, or inconsistent; the text says in which line.
     """
     lines = _lines(path)
-    if len(lines) < 6 or not lines[0].lstrip("\ufeff").startswith("PathFileType"):
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise InputError(f"{path}: is no .trc file (its first line must start with PathFileType); export it again.")
     keys, values = lines[1].split(), lines[2].split()
     facts = dict(zip(keys, values, strict=False))
@@ -149,19 +151,30 @@ def read_trc(path: Path) -> Markers:
             points.append(point)
     if not times:
         raise InputError(f"{path}: has a header and no row of points; export it again.")
-    frames = np.round(np.array(times) * rate)
-    if np.abs(np.array(times) * rate - frames).max() > 0.1:
-        raise InputError(f"{path}: its times do not lie on its DataRate of {rate:g} Hz; export it again.")
+    at_s, steps = np.array(times), len(times) - 1
+    if _beside(at_s * rate) > _TOLERANCE and steps and at_s[-1] > at_s[0]:
+        rate = steps / (at_s[-1] - at_s[0])  # the times count, as for OpenSim: 59.94 where DataRate says 60
+    if _beside(at_s * rate) > _TOLERANCE:
+        stated = facts["DataRate"]
+        raise InputError(
+            f"{path}: its times do not lie on its DataRate of {stated} Hz, nor are they even; export it again."
+        )
+    frames = np.round(at_s * rate)
     return _checked(Markers(frames.astype(np.int64), rate, names, np.stack(points) * _UNITS_M[unit]), path)
+
+
+def _beside(frames: Float[Array, "F"]) -> float:
+    """Return the largest distance from a whole frame."""
+    return float(np.abs(frames - np.round(frames)).max())
 
 
 def _lines(path: Path) -> list[str]:
     try:
         if path.stat().st_size > _FILE_LIMIT:
             raise InputError(f"{path}: has over {_FILE_LIMIT >> 20} MiB, too many for a .trc file.")
-        return path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not text, so no .trc file; export it again.") from None
+        data = path.read_bytes()
+        wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+        return data.decode("utf-16" if wide else "utf-8-sig", errors="replace").splitlines()  # paths in other codes
     except OSError as error:
         raise InputError(f"{path}: can't be read ({error.strerror}); check the path.") from None
 
@@ -177,7 +190,7 @@ def _positive(path: Path, facts: dict[str, str], key: str) -> float:
 
 
 def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float[Array, "M 3"]]:
-    cells = [cell.strip() for cell in line.split("\t")]
+    cells = [cell.strip().replace(",", ".") for cell in line.split("\t")]  # some locales' decimals
     while len(cells) > 2 + 3 * markers and not cells[-1]:
         cells.pop()
     cells += [""] * (2 + 3 * markers - len(cells))  # editors cut off the tabs of gaps at a line's end

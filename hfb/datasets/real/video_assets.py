@@ -103,6 +103,8 @@ def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
         remarks.append(f"{joints[0].name} is not used: no calibration names the camera of {footage.path.name}")
     elif joints:
         recording = replace(recording, joints=joints[0])
+    else:
+        remarks += [f"{path.name} is not read: export it as .trc" for path in _matching(folder, ("*.c3d",))]
     _check_sizes(recording, footage)
     _check_markers(recording, footage)
     return recording, remarks

@@ -36,7 +36,12 @@ scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = max(1, high / wide), 
 aspect = (width / wide) / (height / high)
 camera.sensor_width, camera.sensor_fit = aspect * camera.sensor_height, "HORIZONTAL"  # all that FBX knows
 camera.shift_x, camera.shift_y = (shift / aspect for shift in camera["lens_shift"])
-if target.endswith(".fbx"):
+if target.endswith(".fbx"):  # its readers put time 0 on frame 1
+    scene.frame_start, scene.frame_end = 0, scene.frame_end - scene.frame_start
+    for one in bpy.data.objects:
+        if one.animation_data and one.animation_data.action:
+            one.animation_data.nla_tracks.new().strips.new("motion", 0, one.animation_data.action)
+            one.animation_data.action = None
     bpy.ops.export_scene.fbx(filepath=target, add_leaf_bones=False, bake_anim_use_all_actions=False,
                              bake_anim_use_nla_strips=False, bake_anim_simplify_factor=0, path_mode="COPY",
                              embed_textures=True)

@@ -4,6 +4,7 @@ The world is the motion's, in metres with y up; the camera's frame is a transfor
 sub-frame is a sample at its exact time, between the whole frames: time code 0 is the first opening of the shutter.
 """
 
+import math
 import os
 import tempfile
 from pathlib import Path
@@ -54,8 +55,8 @@ def write_usd(path: Path, exported: Exported) -> None:
         UsdGeom.SetStageMetersPerUnit(stage, 1)
         stage.SetTimeCodesPerSecond(fps)
         stage.SetFramesPerSecond(fps)
-        stage.SetStartTimeCode(float(keys.times_s[0]) * fps)
-        stage.SetEndTimeCode(float(keys.times_s[-1]) * fps)
+        stage.SetStartTimeCode(math.floor(float(keys.times_s[0]) * fps))
+        stage.SetEndTimeCode(math.ceil(float(keys.times_s[-1]) * fps - 1e-6))  # players show whole time codes
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/motion").GetPrim())
         matrix = np.eye(4)
         matrix[:3, :3], matrix[3, :3] = placed.R.T, placed.t  # the format's vectors are rows

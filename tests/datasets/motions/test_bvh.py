@@ -93,6 +93,15 @@ def test_broken_files_say_where(tmp_path, old, new, reason):
     assert "clip.bvh" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("written", "fps"),
+    [("0.033", 30), (".0333", 30), ("0.017", 60), ("0.042", 24), ("0.0083", 120), ("0.008", 125), ("0.0334", 29.94)],
+)
+def test_a_rounded_frame_time(tmp_path, written, fps):
+    motion = read_bvh(_write(tmp_path, _ARM.replace(".0083333", written)))
+    assert motion.fps == pytest.approx(fps, abs=0.001)
+
+
 def test_any_cut_is_an_input_error(tmp_path):
     data = _ARM.encode()
     for length in range(0, len(data) - 25, 7):

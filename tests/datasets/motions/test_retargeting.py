@@ -175,14 +175,24 @@ _MORE_NAMES = {
     "vrm": "J_Bip_C_Hips x J_Bip_L_UpperLeg J_Bip_L_LowerLeg J_Bip_L_Foot J_Bip_L_ToeBase J_Bip_R_UpperLeg "
     "J_Bip_R_LowerLeg J_Bip_R_Foot J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest J_Bip_C_Head J_Bip_L_Shoulder "
     "J_Bip_L_UpperArm J_Bip_L_LowerArm J_Bip_L_Hand J_Bip_R_Shoulder J_Bip_R_UpperArm J_Bip_R_LowerArm J_Bip_R_Hand",
+    "deepmotion": "hips_JNT x l_upleg_JNT l_leg_JNT l_foot_JNT l_toebase_JNT r_upleg_JNT r_leg_JNT r_foot_JNT "
+    "spine_JNT spine1_JNT spine2_JNT head_JNT l_shoulder_JNT l_arm_JNT l_forearm_JNT l_hand_JNT r_shoulder_JNT "
+    "r_arm_JNT r_forearm_JNT r_hand_JNT",
+    "smpl's fbx": "m_avg_Pelvis x m_avg_L_Hip m_avg_L_Knee m_avg_L_Ankle m_avg_L_Foot m_avg_R_Hip m_avg_R_Knee "
+    "m_avg_R_Ankle m_avg_Spine1 m_avg_Spine2 m_avg_Spine3 m_avg_Head m_avg_L_Collar m_avg_L_Shoulder m_avg_L_Elbow "
+    "m_avg_L_Wrist m_avg_R_Collar m_avg_R_Shoulder m_avg_R_Elbow m_avg_R_Wrist",
+    "makehuman": "root x upperleg01.L lowerleg01.L foot.L toe.L upperleg01.R lowerleg01.R foot.R spine05 spine03 "
+    "spine01 head clavicle.L upperarm01.L lowerarm01.L wrist.L clavicle.R upperarm01.R lowerarm01.R wrist.R",
 }
+_MORE_NAMES["motive"] = _MORE_NAMES["optitrack"].replace("Skeleton_", "Skeleton-001_")  # a space in the file
 _CONVENTIONS |= _MORE_NAMES
 _PARENTS = (-1, 0, 1, 2, 3, 4, 0, 6, 7, 0, 9, 10, 11, 11, 13, 14, 15, 11, 17, 18, 19)
 
 
 @pytest.mark.parametrize("convention", list(_CONVENTIONS))
 def test_names_of_many_makers(convention):
-    found = map_joints(_CONVENTIONS[convention].split(), _PARENTS)
+    names = [name.replace("-", " ") for name in _CONVENTIONS[convention].split()]
+    found = map_joints(names, _PARENTS)
     assert (found.pelvis, found.chest, found.head) == (0, 11, 12)
     assert found.limbs == {
         "left_hip": 2,

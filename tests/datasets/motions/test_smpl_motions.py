@@ -225,3 +225,21 @@ def test_degrees_are_refused(tmp_path):
         load_smpl_motion(tmp_path / "a.npz", "walk")
     np.savez(tmp_path / "b.npz", poses=np.pad(turning, ((0, 0), (0, 6))), **facts)
     np.testing.assert_allclose(load_smpl_motion(tmp_path / "b.npz", "walk").poses[:, 0, 1], 30 * _body()[:, 1])
+
+
+@pytest.mark.parametrize("unit", [100, 1000])
+def test_translations_that_are_not_metres_are_refused(tmp_path, unit):
+    arrays = _amass(156)
+    np.savez(tmp_path / "a.npz", **(arrays | {"trans": unit * arrays["trans"]}), mocap_framerate=np.array(60.0))
+    with pytest.raises(InputError, match=r"a\.npz moves its person by .* m/s: give its translations in metres"):
+        load_smpl_motion(tmp_path / "a.npz", "walk")
+
+
+def test_whoever_stands_along_y_in_a_file_of_amass_is_told(tmp_path, caplog):
+    np.savez(tmp_path / "a.npz", poses=_body(156), trans=_path(), mocap_framerate=np.array(60.0))
+    load_smpl_motion(tmp_path / "a.npz", "walk")
+    assert "walk: its person lies, along y: name its rate fps if y is up" in caplog.text
+    caplog.clear()
+    np.savez(tmp_path / "b.npz", **_amass(156), mocap_framerate=np.array(60.0))
+    load_smpl_motion(tmp_path / "b.npz", "walk")
+    assert not caplog.text

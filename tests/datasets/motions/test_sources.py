@@ -47,6 +47,8 @@ def test_a_folder_is_searched_in_an_order_of_its_own(tmp_path):
         _write_smpl(tmp_path / "in" / name.replace("NPZ", "npz"))
     (tmp_path / "in" / "b" / "a.npz").rename(tmp_path / "in" / "b" / "a.NPZ")
     (tmp_path / "in" / "notes.txt").write_text("no motion")
+    np.savez(tmp_path / "in" / "b" / "shape.npz", betas=np.zeros(16))  # of AMASS, in every person's folder
+    np.savez(tmp_path / "in" / "b" / "neutral_stagei.npz", betas=np.zeros(16))
     (tmp_path / "in" / "folder.bvh").mkdir()
     source = open_motions(tmp_path / "in", 0)
     assert isinstance(source, MotionSource)

@@ -58,6 +58,31 @@ def test_lost_markers_that_are_written_as_numbers(tmp_path: Path, word: str) -> 
     assert read.xyz_m[0, 1, 0] == 0
 
 
+@pytest.mark.parametrize("code", ["cp1252", "utf-16", "utf-8-sig"])
+def test_a_path_in_the_writers_own_code_and_decimal_commas(tmp_path: Path, code: str) -> None:
+    write_trc(tmp_path / "a.trc", _points(), _NAMES, 60)
+    text = (tmp_path / "a.trc").read_text().replace("a.trc", "C:\\Users\\Jörg\\a.trc", 1)
+    head, rows = text.split("\n", 5)[:5], text.split("\n", 5)[5]
+    (tmp_path / "a.trc").write_bytes("\r\n".join([*head, rows.replace(".", ",")]).encode(code))
+    assert "Jörg" in text
+    np.testing.assert_allclose(read_trc(tmp_path / "a.trc").xyz_m, _points(), atol=1e-12)
+
+
+@pytest.mark.parametrize(("stated", "true", "digits"), [("60", 60 / 1.001, 6), ("240", 240, 3)])
+def test_times_that_are_rounded_or_contradict_the_rate(tmp_path: Path, stated: str, true: float, digits: int) -> None:
+    """OpenSim goes by the times, whatever DataRate says."""
+    points = np.random.default_rng(0).normal(0, 1, (900, 3, 3))
+    write_trc(tmp_path / "a.trc", points, _NAMES, int(stated))
+    lines = (tmp_path / "a.trc").read_text().splitlines()
+    for number, line in enumerate(lines[5:]):
+        count, _, rest = line.split("\t", 2)
+        lines[5 + number] = f"{count}\t{number / true:.{digits}f}\t{rest}"
+    (tmp_path / "a.trc").write_text("\n".join(lines))
+    read = read_trc(tmp_path / "a.trc")
+    assert read.rate_hz == pytest.approx(true, rel=1e-5)
+    np.testing.assert_array_equal(read.frames, np.arange(900))
+
+
 def test_rows_are_placed_by_their_time(tmp_path: Path) -> None:
     write_trc(tmp_path / "a.trc", _points(), _NAMES, 60)
     lines = (tmp_path / "a.trc").read_text().splitlines()
@@ -146,6 +171,11 @@ def test_joints_npz(tmp_path: Path) -> None:
         ("l_shoulder", "left_shoulder"),
         ("RElbow", "right_elbow"),
         ("ankle.left", "left_ankle"),
+        ("Anna:RHip", "right_hip"),
+        ("Anna:LHJC", "left_hip"),
+        ("RKJC", "right_knee"),
+        ("LWJC", "left_wrist"),
+        ("HJC", None),
         ("Neck", None),
         ("Nose", None),
         ("Head", None),

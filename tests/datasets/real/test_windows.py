@@ -174,6 +174,14 @@ def test_joints_without_a_camera_are_left_with_a_remark(tmp_path: Path) -> None:
     assert "no calibration names the camera" in remarks[0]
 
 
+def test_joints_in_a_c3d_are_told(tmp_path: Path) -> None:
+    write_recording(tmp_path, count=12)
+    (tmp_path / "walk.trc").rename(tmp_path / "walk.c3d")
+    recording, remarks = find_recording(open_footage(tmp_path / "cam01_walk.mp4"))
+    assert recording.joints is None
+    assert "walk.c3d is not read: export it as .trc" in remarks
+
+
 def test_without_a_plate_the_median_stands_in(tmp_path: Path) -> None:
     write(tmp_path / "walk.mp4", [figure(index) for index in range(0, 48, 3)])
     plate = Recording(tmp_path / "walk.mp4").stored_plate()

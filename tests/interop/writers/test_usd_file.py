@@ -82,6 +82,7 @@ def test_the_stage_and_its_checks(stage: Usd.Stage, tmp_path: Path) -> None:
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert (stage.GetTimeCodesPerSecond(), stage.GetStartTimeCode()) == (_FPS, 0)
+    assert stage.GetEndTimeCode() - 1 < MOTION.times_s[-1] * _FPS <= stage.GetEndTimeCode() == 2  # 1.28: all is played
     for name in ("one.usdz", "two.usdz"):
         write_usd(tmp_path / name, Exported(MOTION, "hfb", BODY, _PNG, fps=_FPS))
         time.sleep(2.1)  # the package counts time in steps of two seconds

@@ -15,6 +15,7 @@ from hfb.typing import Array, Float
 _MAX_BYTES, _MAX_HEAD = 64 << 20, 4 << 20
 _MAX_JOINTS = 1000
 _MAX_FPS = 10_000
+_USUAL_RATES = (24.0, 30.0, 60.0, 90.0, 120.0, 240.0)
 _MAX_BLANK = 1000
 _NEAR_ZERO = 0.25  # of the offset
 _MAX_TURNS = 1 << 22  # frames x joints: a joint without channels takes no byte of the table, yet a place in memory
@@ -274,7 +275,7 @@ def _read_motion(text: str, columns: int, first_line: int) -> tuple[Float[Array,
     if rows < frames or len(values) % columns or not np.isfinite(values).all():
         raise InputError(_why(table, frames, columns, first_line + at[1] + 1))
     remark = f"announces {frames} frames and has {rows}: all are read" if rows > frames else None
-    return values.reshape(rows, columns), _frames_per_second(frame_s), remark
+    return values.reshape(rows, columns), _frames_per_second(frame_s, len(time_word.partition(".")[2])), remark
 
 
 def _why(text: str, frames: int, columns: int, first_line: int) -> str:
@@ -296,7 +297,14 @@ def _why(text: str, frames: int, columns: int, first_line: int) -> str:
     return f"it announces {frames} frames and has {rows} (cut off?)"
 
 
-def _frames_per_second(frame_s: float) -> float:
-    """Return the frame rate; files round a frame's time (.0083333 s), so a whole rate is used where it explains it."""
+def _frames_per_second(frame_s: float, digits: int) -> float:
+    """Return the frame rate; files round a frame's time (.0083333 s, .033 s), so rates that explain it are used.
+
+    Args:
+        frame_s: time of a frame [s].
+        digits: digits behind the point that the file gives it.
+    """
     fps = 1 / frame_s
-    return float(round(fps)) if abs(fps - round(fps)) < 3e-4 * fps else fps
+    if abs(fps - round(fps)) < 3e-4 * fps:
+        return float(round(fps))
+    return next((rate for rate in _USUAL_RATES if round(1 / rate, digits) == frame_s), fps)

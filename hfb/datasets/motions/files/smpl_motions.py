@@ -6,6 +6,7 @@ would also change SMPL's translation by a constant that depends on the person's 
 about that joint. This constant is ignored, since a clip's position in the world has no meaning.
 """
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from hfb.errors import InputError
 from hfb.geometry.quaternions import align_signs, from_axis_angle, multiply, rotate, to_axis_angle
 from hfb.typing import Array, Float, Shaped
 
+_log = logging.getLogger(__name__)
 _POSES = ("poses", "root_orient", "pose_body")
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _WANTED = (*_POSES, *_RATES, "trans", "times_s")
@@ -31,6 +33,8 @@ _COLUMNS = {72: 72, 156: _BODY_COLUMNS, 165: _BODY_COLUMNS, 66: _BODY_COLUMNS}
 _MAX_FPS = 10_000.0
 _MAX_FRAMES = 2_000_000
 _MAX_PLACE_M = 1e5
+_FASTEST_M_S = 30.0
+_UPRIGHT = 0.8  # cosine
 
 _Z_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 _Y_DOWN = np.array([0.0, 1.0, 0.0, 0.0])
@@ -60,7 +64,11 @@ def load_smpl_motion(path: Path, name: str) -> MotionClip:
     if rates[0].size != 1:
         raise InputError(f"{path} has {rates[0].size} frame rates; expected is one number")
     world = None if "fps" in arrays and len(rates) == 1 else _Z_UP
-    return check_clip(name, path, poses, trans, float(rates[0].reshape(())), world)
+    clip = check_clip(name, path, poses, trans, float(rates[0].reshape(())), world)
+    along_y = rotate(from_axis_angle(poses[:, :3]), np.array([0.0, 1.0, 0.0]))[:, 1]
+    if world is not None and np.median(along_y) > _UPRIGHT:
+        _log.warning("%s: its person lies, along y: name its rate fps if y is up in its world", name)
+    return clip
 
 
 def _poses(arrays: Mapping[str, Shaped[Array, "..."]]) -> Float[Array, "F c"] | None:
@@ -112,6 +120,9 @@ def check_clip(
         raise InputError(f"{path} turns its joints by {np.median(largest):.0f} rad: convert its degrees to radians")
     if not 0.1 <= fps <= _MAX_FPS:
         raise InputError(f"{path} says it has {fps:g} frames per second; expected is 0.1 to {_MAX_FPS:g}")
+    speed_m_s = float(np.percentile(np.linalg.norm(np.diff(trans, axis=0), axis=1), 90)) * fps
+    if speed_m_s > _FASTEST_M_S:
+        raise InputError(f"{path} moves its person by {speed_m_s:.0f} m/s: give its translations in metres")
     full = np.zeros((len(poses), 24, 3))
     full.reshape(len(poses), 72)[:, : poses.shape[1]] = poses
     if world is not None:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from hfb.errors import InputError
 
 _LIMBS: dict[str, tuple[str, ...]] = {
-    "hip": ("thigh", "thighbend", "upleg", "upperleg", "femur", "hip"),
-    "knee": ("shin", "calf", "leg", "lowerleg", "lowleg", "knee", "tibia"),
+    "hip": ("thigh", "thighbend", "upleg", "upperleg", "upperleg01", "femur", "hip"),
+    "knee": ("shin", "calf", "leg", "lowerleg", "lowerleg01", "lowleg", "knee", "tibia"),
     "ankle": ("ankle", "foot"),
-    "shoulder": ("shldr", "shldrbend", "upperarm", "uparm", "uarm", "arm", "humerus", "shoulder"),
-    "elbow": ("forearm", "forearmbend", "lowerarm", "lowarm", "farm", "elbow", "radius"),
+    "shoulder": ("shldr", "shldrbend", "upperarm", "upperarm01", "uparm", "uarm", "arm", "humerus", "shoulder"),
+    "elbow": ("forearm", "forearmbend", "lowerarm", "lowerarm01", "lowarm", "farm", "elbow", "radius"),
     "wrist": ("wrist", "hand"),
 }
 """What a limb's joint is called, without its side; the first that the skeleton has counts.
@@ -20,7 +20,8 @@ _LIMBS: dict[str, tuple[str, ...]] = {
 Seen in: CMU's database by cgspeed for Daz figures (lThigh, lShldr) and for MotionBuilder (LeftUpLeg, LeftArm), iClone's
 Character Creator (CC_Base_L_Thigh), Mixamo (mixamorig:LeftUpLeg), 3ds Max' Biped (Bip01 L Thigh), Unreal (thigh_l),
 Vicon's and others' LeftHip / LeftKnee / LeftAnkle, OptiTrack (LThigh, LUArm, LFArm), Bandai-Namco (UpperLeg_L), Blender
-(upper_arm.L), SMPL (L_Ankle with L_Foot for the toes: an ankle is one, and a foot the next joint).
+(upper_arm.L), SMPL (L_Ankle with L_Foot for the toes: an ankle is one, and a foot the next joint; m_avg_L_Ankle in its
+own FBX), DeepMotion (l_upleg_JNT), MakeHuman (upperleg01.L).
 """
 
 _HEAD = ("head", "skull", "spine006", "neck1", "neck")
@@ -62,7 +63,7 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
         InputError: some are missing; the text names them.
     """
     known: dict[str, int] = {}
-    for spelling in (names, _without_subject(names)):
+    for spelling in (names, _without_shared(names)):
         for number, name in enumerate(spelling):
             known.setdefault(_normal(name), number)
     limbs: dict[str, int] = {}
@@ -100,13 +101,16 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
     return JointMap(pelvis, chest, head, limbs, collars, toes)
 
 
-def _without_subject(names: Sequence[str]) -> list[str]:
-    """Remove the subject's or the armature's name, with which some tools begin every joint's name."""
-    firsts = [_SEPARATORS.split(name, maxsplit=1) for name in names]
-    (common, count), *_ = Counter(parts[0] for parts in firsts).most_common(1)
-    if count < _OF_ALL * len(names):
-        return list(names)
-    return [parts[-1] if parts[0] == common else name for parts, name in zip(firsts, names, strict=True)]
+def _without_shared(names: Sequence[str]) -> list[str]:
+    """Remove words that nearly all names begin or end with: a subject's, an armature's, "m_avg_", "_JNT"."""
+    words = [_SEPARATORS.split(name) for name in names]
+    for end, kept in ((0, slice(1, None)), (-1, slice(-1))):
+        count = len(names)
+        while count:
+            counts = Counter(one[end] for one in words if len(one) > 1).most_common(1)
+            shared, count = next((found for found in counts if found[1] >= _OF_ALL * len(names)), ("", 0))
+            words = [one[kept] if len(one) > 1 and one[end] == shared else one for one in words]
+    return ["_".join(one) for one in words]
 
 
 def _normal(name: str) -> str:
