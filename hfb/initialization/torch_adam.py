@@ -1,4 +1,4 @@
-"""`torch.optim.Adam` to the last bit, without torch's compiler, whose import at the first use costs a second and 70 MB."""
+"""`torch.optim.Adam` to the last bit, without its import of torch's compiler, which costs a second and 70 MB."""
 
 from collections.abc import Sequence
 
