@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
-from hfb.flows.cli.start import FORWARDED, OCCUPIED, PACKAGE, check_peer, receive, send
+from hfb.flows.cli.start import FORWARDED, OCCUPIED, PACKAGE, check_peer, receive, send, share_memory
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.progress import Display
 from hfb.tasks.tracking.store_client import load_mlflow, load_stores
@@ -340,6 +340,7 @@ def main() -> None:
     package, folder, like, idle_s = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3], float(sys.argv[4])
     if package != PACKAGE:
         sys.exit(f"hfb is {PACKAGE} here")  # another one on the path: its commands run by themselves
+    share_memory()
     lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -8,6 +8,7 @@ than that needs. Whatever speaks against the resident process, the command runs 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import json
 import os
@@ -29,6 +30,7 @@ VARIABLE = "HFB_RESIDENT"
 PACKAGE = Path(__file__).parents[2]
 _COMMANDS = ("demo", "fit")
 _IDLE_S = 600.0
+_ARENA_MAX = -8  # of malloc.h
 _STARTS_WITHIN_S = 60.0
 # Of a terminal or a shell, read when a command begins; any other variable may count at an import.
 _READ_LATE = (
@@ -43,6 +45,8 @@ FORWARDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
 def main() -> int:
     """Run the command of this process's words; returns the exit code."""
     words = sys.argv[1:]
+    if words and words[0] in _COMMANDS:
+        share_memory()
     idle_s = wanted(words)
     if idle_s is not None:
         with contextlib.suppress(OSError, ValueError, KeyError):  # nothing of the command has begun
@@ -50,6 +54,12 @@ def main() -> int:
     from hfb.flows.cli.cli import main as run
 
     return run(words)
+
+
+def share_memory() -> None:
+    """Have all threads share one heap of the C library: what one freed another one uses; before any thread begins."""
+    with contextlib.suppress(OSError, AttributeError, TypeError):  # another system's C library
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 def wanted(words: list[str]) -> float | None:
