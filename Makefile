@@ -16,7 +16,7 @@ help:
 	@echo "make test    the tests; make test-unit  those that need neither a server nor a process (tests/README.md)"
 	@echo "make check   formatting, lint, types, import contracts, Compose and Kubernetes files, documents"
 	@echo "make docs    the site of the documents, into build/docs"
-	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute)"
+	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute; BASELINE=another checkout: beside its)"
 	@echo "make findings  what libraries do otherwise than expected, each with pinned packages; needs the package index"
 	@echo "make up      Prefect, MLflow and a worker for a team, with a login; needs Docker (infra/compose/README.md)"
 	@echo "make down    end them; what they hold stays"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,8 @@ from hfb.datasets.example import write_example
 from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.interop.writers.export_names import RECORD, REPORT
 from hfb.io.safe_folder import check_tree
-from hfb.tasks.chains.image_chain import fit_images
+from hfb.tasks.chains.image_chain import ImageFit, fit_images
+from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
 from hfb.tasks.results.exports import export_motion
@@ -73,7 +76,10 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     config, began_ms = with_height(config, inputs.clip), time.time_ns() // 1_000_000
     with workspace(out) as folder, records_in(folder):
         fit = fit_images(inputs, config, folder)
-        exports = export_motion(fit.shot, fit.fitted.texture_image, config.export, folder)
+        with ThreadPoolExecutor(1, "hfb-page-film") as beside:
+            drawn = beside.submit(copy_context().run, _page_film, fit, config, folder)
+            exports = export_motion(fit.shot, fit.fitted.texture_image, config.export, folder)
+            page_film = drawn.result()
         result = fit.facts() | {
             **exports.facts(),
             "out": str(out.resolve()),
@@ -91,12 +97,16 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
                 f"not recorded in MLflow ({lost}): the result itself is complete; `hfb record {out}` records it "
                 "when MLflow is back"
             )
-        if config.export.report:
-            parts = ReportParts.among(files, draw_page_film(fit.shot, folder), inputs.body)
+        if page_film is not None:
+            parts = ReportParts.among(files, page_film, inputs.body)
             files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
     return result
+
+
+def _page_film(fit: ImageFit, config: RunConfig, folder: Path) -> FileHandle | None:
+    return draw_page_film(fit.shot, folder) if config.export.report else None
 
 
 _EXAMPLE = "example"

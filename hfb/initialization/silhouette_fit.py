@@ -15,6 +15,7 @@ import torch
 from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.initialization.torch_adam import Adam
 from hfb.matting.matting_protocol import matte_region
 from hfb.motion.static_pose import FirstBody
 from hfb.objective.matting import matting_loss
@@ -227,17 +228,16 @@ def _refine_at(
     start_views = _to_view(start_places, betas, body)
     views = start_views.clone().requires_grad_()
     betas.requires_grad_(stage.shape)
-    groups = [([joints, roots], stage.learning_rate), ([views], 0.4 * stage.learning_rate)]
+    leaves = [(joints, stage.learning_rate), (roots, stage.learning_rate), (views, 0.4 * stage.learning_rate)]
     travels = None if travels_m is None else travels_m.to(dtype).clone().requires_grad_()
     if travels is not None:
-        groups.append(([travels], stage.learning_rate))
+        leaves.append((travels, stage.learning_rate))
     if stage.shape:
-        groups.append(([betas], stage.learning_rate))
-    optimiser = torch.optim.Adam([{"params": free, "lr": rate} for free, rate in groups], betas=(0.8, 0.95))
+        leaves.append((betas, stage.learning_rate))
+    optimiser = Adam(leaves, betas=(0.8, 0.95))
     shaped = body.shape(betas)
     best, best_travels, best_values = list(firsts), travels_m, [float("inf")] * len(firsts)
     for iteration in range(stage.iterations + 1):
-        optimiser.zero_grad()
         places = _from_view(views, betas, body)
         turns = (axis_angle_to_matrix(roots) @ R_start)[:, None]
         if stage.shape:

@@ -161,10 +161,25 @@ class _SourcesCache(FunctionCache):
             self._unlock()
 
 
+_entries = []
+
+
 def _cached(compiled, function):
     with suppress(RuntimeError):  # no temporary folder either: compiled by every process
         compiled._cache = _SourcesCache(function)
+        _entries.append(compiled)
     return compiled
+
+
+def load_cached():
+    """Load the machine code of all imported kernels that is in the cache; yields after each, compiles nothing."""
+    for compiled in _entries:
+        cache, codegen = compiled._cache, compiled.targetctx.codegen()
+        with suppress(*_DAMAGED):
+            for key in cache._cache_file._load_index():
+                if key == cache._index_key(key[0], codegen):
+                    compiled.compile(key[0])
+                    yield
 
 
 def _use_temporary_folder():

@@ -6,6 +6,7 @@ A term with weight zero is not computed.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import torch
 
@@ -274,14 +275,27 @@ class Objective:
         return own[name] if name in own else float(getattr(self.weights, name))
 
     def backward(self, terms: dict[str, Float[Tensor, ""]]) -> None:
-        """Accumulate the gradients of `total` in the free variables; starts at the terms, which saves a node.
+        """Accumulate the gradients of `total` in the free variables.
 
         Args:
             terms: unweighted, by name.
         """
         free = {name: term for name, term in terms.items() if term.requires_grad}
         weights = [constant(self._weight_of(name), one.dtype, one.device) for name, one in free.items()]
-        torch.autograd.backward(tuple(free.values()), weights)
+        _WeightedSum.apply(weights, *free.values()).backward()
+
+
+class _WeightedSum(torch.autograd.Function):
+    """One node for the gradients of a weighted sum; `torch.autograd.backward` with weights would import sympy."""
+
+    @staticmethod
+    def forward(ctx: Any, weights: list[Tensor], *terms: Tensor) -> Tensor:
+        ctx.weights = weights
+        return terms[0].new_zeros(())  # nobody reads the sum
+
+    @staticmethod
+    def backward(ctx: Any, *_: Tensor) -> tuple[Tensor | None, ...]:
+        return (None, *ctx.weights)
 
 
 @lru_cache

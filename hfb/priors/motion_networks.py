@@ -1,5 +1,6 @@
 """The two networks of the adversarial motion prior: the discriminator D and the correction-generator G."""
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -50,10 +51,13 @@ def _root_mean_square(vectors: Float[Tensor, "T J 3"]) -> Float[Tensor, "T 1 1"]
 
 
 def _signs_when_reversed() -> Float[Tensor, "458"]:
-    """Return the signs by which reversing the whole body changes its features: first differences are negated."""
-    signs = torch.ones(JOINT_COUNT, FEATURES_PER_JOINT)
+    """Return the signs by which reversing the whole body changes its features: first differences are negated.
+
+    Made by numpy: on torch's device `meta`, where sizes are counted, a concatenation imports torch's compiler.
+    """
+    signs = np.ones((JOINT_COUNT, FEATURES_PER_JOINT), np.float32)
     signs[:, [4, 5, 6, 13, 14, 15]] = -1
-    return torch.cat([signs.flatten(), torch.ones(2)])
+    return torch.from_numpy(np.append(signs, np.ones(2, np.float32)))
 
 
 class _Gated(nn.Module):

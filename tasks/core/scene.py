@@ -7,6 +7,7 @@ decoded and linearised once; a task gets its own copy.
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -190,7 +191,13 @@ def load_chosen_body(body: FileHandle | None) -> Body:
     Args:
         body: the user's file, or None.
     """
-    return load_body(body.path if body else None)
+    return load_body(body.path) if body else _embedded_body()
+
+
+@lru_cache
+def _embedded_body() -> Body:
+    """Return one object per process: templates of silhouettes are kept per body. It must not be changed."""
+    return load_body(None)
 
 
 def load_texture(texture: FileHandle) -> Tensor:

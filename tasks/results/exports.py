@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -190,7 +192,9 @@ def draw_films(shot: ShotHandle, films: tuple[Film, ...], folder: Path) -> Expor
         folder: where they go.
     """
     loaded = shot.load()
-    return ExportsHandle(files=tuple(FileHandle.of(write_film(film, loaded, folder)) for film in films))
+    with ThreadPoolExecutor(len(films), "hfb-film") as pool:
+        drawn = [pool.submit(copy_context().run, write_film, film, loaded, folder) for film in films]
+        return ExportsHandle(files=tuple(FileHandle.of(one.result()) for one in drawn))
 
 
 def write_film(film: Film, shot: Shot, folder: Path) -> Path:

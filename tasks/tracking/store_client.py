@@ -73,6 +73,18 @@ def client_of(uri: str) -> MlflowClient:
     return cast("MlflowClient", _BoundedClient(made, patience(uri)))
 
 
+def load_mlflow() -> None:
+    """Import MLflow, ahead of the first use."""
+    import mlflow  # noqa: F401
+
+
+def load_stores() -> None:
+    """Import what MLflow needs for a store in a database, ahead of the first use."""
+    import alembic.autogenerate  # noqa: F401
+    import mlflow.store.db.utils
+    import mlflow.store.tracking.sqlalchemy_store  # noqa: F401
+
+
 @functools.cache
 def patience(uri: str) -> Patience:
     """Return the time that this process still waits for a store; one object per store.

@@ -12,6 +12,9 @@ BARS = {
     "fit_seconds_1core": "<= 2.0",
     "two_fits_throughput": ">= 1.9",
     "video_seconds_per_frame": "<= 4",
+    "command_seconds": "<= .33 of adb3d25",
+    "cold_command_seconds": "<= .4 of adb3d25",
+    "clip_worker_mb": "<= 600",
     "help_seconds": "< 1",
     "fit_peak_mb": "<= 1500",
 }
