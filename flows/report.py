@@ -51,7 +51,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         check_writable(folder)
         facts = _facts(place.files / RESULT)
         motion, space = load_motion(place.motion)
-        model = _model(motion, space, body or find_named_body(place.files / RESULT))
+        model = model_or_none(motion, space, body or find_named_body(place.files / RESULT))
         film = _film(place, run, model, inputs=inputs, made=Path(made))
         parts = _parts(place, film, Path(made)).in_folder(folder)
         tags = run.tags if run else {}
@@ -80,8 +80,14 @@ def _facts(path: Path) -> dict[str, Any]:
     return read_facts(path) if path.exists() else {}
 
 
-def _model(motion: Any, space: str, path: Path | None) -> Body | None:
-    """Load the body that was fitted; None, with a line for the user, where it is missing: the page shows a skeleton."""
+def model_or_none(motion: Any, space: str, path: Path | None) -> Body | None:
+    """Load the body that was fitted; None, with a line for the user, where it is missing: a skeleton is shown.
+
+    Args:
+        motion: of the result.
+        space: of its betas.
+        path: a SMPL file; None for the embedded body.
+    """
     try:
         return load_fitted_body(motion, space, path)
     except InputError as error:

@@ -120,7 +120,7 @@ def made_once(name: str, make: Callable[[Path], None]) -> Path:
 
 
 @functools.cache
-def _migrated_store() -> Path:
+def migrated_store() -> Path:
     """An MLflow database with tables and nothing in them: making one takes seconds, copying it does not."""
     return made_once(f"mlflow-{version('mlflow')}.db", _make_store)
 
@@ -136,7 +136,7 @@ def orchestrated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
     """Everything that a run leaves outside its --out goes into a folder; yields the MLflow database."""
     api = prefect_api()
     store = folder / "mlflow.db"
-    shutil.copy(_migrated_store(), store)
+    shutil.copy(migrated_store(), store)
     monkeypatch.setenv("PREFECT_API_URL", api)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{store}")
     monkeypatch.setenv("PREFECT_LOCAL_STORAGE_PATH", str(folder / "records"))

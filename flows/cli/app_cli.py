@@ -13,7 +13,7 @@ from pathlib import Path
 from hfb.errors import InputError
 from hfb.flows.cli.options import CONFIG_PREFIX, run_config
 
-_HOST = "127.0.0.1"
+HOST = "127.0.0.1"
 _LARGEST_PORT = 65535
 
 
@@ -27,7 +27,7 @@ def app(args: argparse.Namespace) -> None:
 
     config, out = run_config(args), (args.out or Path("runs") / "app").absolute()
     check_writable(out)
-    with _listening(args.port) as listening:
+    with listen(args.port) as listening:
         import uvicorn
 
         from hfb.flows.app.jobs import Jobs
@@ -36,7 +36,7 @@ def app(args: argparse.Namespace) -> None:
         jobs = Jobs(out, _base_words(args))
         try:
             port, key = listening.getsockname()[1], secrets.token_urlsafe(24)
-            url = f"http://{_HOST}:{port}/{key}/"
+            url = f"http://{HOST}:{port}/{key}/"
             served = uvicorn.Config(
                 site(jobs, config, key, port),
                 log_level="warning",
@@ -54,13 +54,21 @@ def app(args: argparse.Namespace) -> None:
             jobs.close()
 
 
-def _listening(port: int) -> socket.socket:
+def listen(port: int) -> socket.socket:
+    """Return a socket that listens on this machine alone.
+
+    Args:
+        port: 0 for any that is free.
+
+    Raises:
+        InputError: it is no port, or somebody has it.
+    """
     if not 0 <= port <= _LARGEST_PORT:
         raise InputError(f"--port {port} is no port: give one up to {_LARGEST_PORT}, or 0 for any")
     listening = socket.socket()
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind((_HOST, port))
+        listening.bind((HOST, port))
         listening.listen()  # who follows the printed address at once waits for the page, and is not refused
     except OSError as error:
         listening.close()

@@ -60,6 +60,7 @@ _EXAMPLES = {
     "reproduce": ("hfb reproduce table1 --count 10",),
     "export": ("hfb export runs/jump --formats glb,bvh", "hfb export runs/jump --films exact --out runs/films"),
     "report": ("hfb report runs/jump",),
+    "view": ("hfb view runs/jump", "hfb view runs/jump --out page"),
 }
 
 _told_to_end: list[int] = []  # the exit code of a signal that came
@@ -181,6 +182,9 @@ def command_line() -> Parser:
     what = "a result for Blender, AMASS's tools, OpenSim ..."
     results.add_export_flags(of_results("export", results.export, what))
     results.add_report_flags(of_results("report", results.report_result, "a result on one page that opens anywhere"))
+    results.add_view_flags(
+        of_results("view", results.view_result, "a result in a live 3D viewer (viser), or on a page")
+    )
     what = "put a result into MLflow that could not be recorded when made"
     results.add_record_flags(of_results("record", results.record_result, what))
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, cast, get_args
 
 from hfb.config import CameraConfig, ExportConfig, Film, MeshFormat, MotionFormat
-from hfb.errors import InputError
+from hfb.errors import InputError, install_advice
+from hfb.flows.cli.app_cli import HOST, listen
 from hfb.flows.cli.options import placeholder
-from hfb.flows.runtime.session import libraries, open_session, output_folder_of, tell
+from hfb.flows.runtime.session import libraries, open_session, output_folder_of, results_alone_on_stdout, tell
 from hfb.io.toml_file import to_record
 
 _MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
@@ -164,6 +168,41 @@ def report_text(result: Mapping[str, Any]) -> str:
     size = f"{result['bytes'] / 1e6:.1f} MB"
     lacks = [f"without {name}" for name in ("film", "surface") if not result[name]]
     return f"report   {result['report']}  ({', '.join([size, *lacks])})"
+
+
+def add_view_flags(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `hfb view`.
+
+    Args:
+        parser: of the command.
+    """
+    add = parser.add_argument
+    add("source", metavar="RESULT", help="a result's folder, a motion.npz, or the id of a recorded run")
+    add("--port", type=int, default=8513, help="of the live viewer; 0: any that is free [8513]")
+    add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")
+
+
+def view_result(args: argparse.Namespace) -> None:
+    """Run `hfb view`: serve the live viewer on this machine alone until Ctrl-C, or write a page where viser is missing.
+
+    Args:
+        args: the parsed options.
+    """
+    from hfb.flows.view_result import load_viewed, view_live, write_view
+
+    if find_spec("viser") is None or args.out is not None:
+        viewed = load_viewed(args.source, args.body)
+        path = write_view(viewed, args.out or viewed.folder)
+        advice = "" if args.out else f"\n(live, with the plate, where viser is installed: {install_advice('view')})"
+        tell(args, {"page": str(path)}, f"page     {path}{advice}")
+        return
+    with listen(args.port) as listening:
+        with results_alone_on_stdout():
+            view = view_live(load_viewed(args.source, args.body), listening)
+        url = f"http://{HOST}:{listening.getsockname()[1]}"
+        print(json.dumps({"url": url}) if args.json else f"{url}  (Ctrl-C ends it)", flush=True)
+        with results_alone_on_stdout(), closing(view), suppress(KeyboardInterrupt):
+            view.run()
 
 
 def add_record_flags(parser: argparse.ArgumentParser) -> None:

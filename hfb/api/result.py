@@ -40,10 +40,9 @@ from hfb.io.toml_file import to_record
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import srgb_to_linear
-from hfb.report.pages.page import page
 from hfb.report.pages.result_facts import read_facts
 from hfb.report.pages.result_unknown import alternative_motions
-from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.pages.viewer import ViewedMotion, viewer_page
 from hfb.tasks.chains.clip_chain import ClipFit
 from hfb.tasks.chains.image_chain import ImageFit
 from hfb.tasks.core.environment import environment
@@ -288,8 +287,7 @@ class Result:
         if self.alternatives is not None:
             motions += alternative_motions(self.motion, self.alternatives)
         png = stored_png(self._files["texture.png"]) if "texture.png" in self._files else None
-        content = viewer(motions, self.body, png)
-        return Viewer(page("base.html", "Human from Blur", content=content, scripts=viewer_scripts()))
+        return Viewer(viewer_page(motions, self.body, png, "Human from Blur"))
 
     def _beside(self, folder: str | Path | None, name: str) -> Path:
         """Return where further files go."""

@@ -31,6 +31,14 @@ class NotOrdinary(TemporaryError):
     """A symbolic link or a special file is where hfb would open, list or remove something."""
 
 
+def check_system() -> None:
+    """Raise InputError where the system opens no file relative to a folder's descriptor, as Windows."""
+    if os.open not in os.supports_dir_fd:
+        raise InputError(
+            "hfb reads and writes folders of results on Linux and macOS only: on Windows run it in WSL (wsl --install)"
+        )
+
+
 def special_kind(path: Path) -> str | None:
     """Name what a path is that is neither a regular file nor a folder; None for these two and for a missing one.
 
@@ -127,10 +135,9 @@ def open_folder(root: Path, *parts: str, make: bool = False) -> Iterator[int]:
     Raises:
         NotOrdinary: a component below ``root`` is a link or no folder.
         OSError: ``root`` or a component is missing, or may not be opened.
-        InputError: this system opens no folders, and files relative to them.
+        InputError: see `check_system`.
     """
-    if os.open not in os.supports_dir_fd:
-        raise InputError("hfb writes results on Linux and macOS only: on Windows run it in WSL (wsl --install)")
+    check_system()
     place, descriptor = root, os.open(root, _FOLDER)
     try:
         for part in parts:

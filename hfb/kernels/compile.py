@@ -195,12 +195,13 @@ def _use_temporary_folder():
 
 def _private_folder():
     """Return a folder that only this user can write, since its content is executed."""
-    folder = Path(tempfile.gettempdir()) / f"hfb-kernels-{os.getuid()}"
-    with suppress(FileExistsError):
-        folder.mkdir(mode=0o700)
-    found = folder.lstat()
-    if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
-        return folder
+    if hasattr(os, "getuid"):
+        folder = Path(tempfile.gettempdir()) / f"hfb-kernels-{os.getuid()}"
+        with suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
+            return folder
     made = tempfile.mkdtemp(prefix="hfb-kernels-")
     atexit.register(shutil.rmtree, made, ignore_errors=True)
     return Path(made)

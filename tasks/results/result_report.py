@@ -224,7 +224,7 @@ def page_text(
         body=body,
         texture_png=stored_png(parts.texture.path) if parts.texture else None,
         strip=parts.strip.path if parts.strip else None,
-        alternatives=_alternatives_of(motion, parts.alternatives.path) if parts.alternatives else None,
+        alternatives=alternatives_of(motion, parts.alternatives.path) if parts.alternatives else None,
         curves=read_curves(parts.curves.path),
         film=parts.film.path.read_bytes() if parts.film else None,
         film_caption=f"What was seen, and the body at one instant after another, {pace}.",
@@ -235,8 +235,13 @@ def page_text(
     return result_page(contents)
 
 
-def _alternatives_of(motion: SampledMotion, path: Path) -> Alternatives:
-    """Load the alternatives of a motion. Raises InputError where they are another motion's."""
+def alternatives_of(motion: SampledMotion, path: Path) -> Alternatives:
+    """Load the alternatives of a motion. Raises InputError where they are another motion's.
+
+    Args:
+        motion: of the result.
+        path: of its alternatives.npz.
+    """
     from hfb.fitting.alternatives import load_alternatives
 
     found = load_alternatives(path)[0]

@@ -23,7 +23,15 @@ from hfb.errors import Busy, InputError, TemporaryError
 from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, temporary_beside, write_bytes_atomic
 from hfb.io.names import is_text
-from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
+from hfb.io.safe_folder import (
+    check_ordinary,
+    check_system,
+    check_tree,
+    is_regular,
+    open_folder,
+    open_lock,
+    special_kind,
+)
 from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.core.result_folder import UNFINISHED, read_result_content
 from hfb.tasks.results.own_files import among_own_files, replace_together
@@ -131,6 +139,7 @@ def check_writable(out: Path) -> None:
     Args:
         out: where the results go.
     """
+    check_system()
     if not is_text(out.absolute()):
         raise InputError(f"{out.absolute()} has a name that is not text in UTF-8: choose another --out")
     for folder in (out.absolute(), *out.absolute().parents):

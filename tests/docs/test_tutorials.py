@@ -4,10 +4,8 @@ The presets that their commands use are smaller here: the same steps, with few i
 """
 
 import doctest
-import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +14,11 @@ import numpy as np
 import pytest
 
 from hfb.interop.writers.export_names import BLENDER, find_blender
+from tests.docs.small_presets import small_environment
 from tests.documents import ROOT, code_blocks
 
 _TUTORIALS = sorted(path.name for path in (ROOT / "docs" / "tutorials").glob("*.md") if path.stem != "index")
 _LONGEST_S = 600
-# Python runs this at the start of every process.
-_SMALL_PRESETS = """
-from hfb import config
-
-def small(stages, settle):
-    short = tuple(one.model_copy(update={"size_px": min(one.size_px, 64), "iterations": 2}) for one in stages)
-    return {"stages": short, "settle": min(settle, 2)}
-
-def preset(name, whole=config.preset):
-    given = whole(name)
-    fit, video = (one.model_copy(update=small(one.stages, one.settle)) for one in (given.fit, given.video))
-    search = fit.directions.model_copy(update={"refits": 1, "iterations": 2, "polish": 2})
-    fit = fit.model_copy(update={"directions": search})
-    return given.model_copy(update={"fit": fit, "video": video})
-
-config.preset = preset
-"""
 
 
 @pytest.mark.parametrize("name", _TUTORIALS)
@@ -105,15 +87,10 @@ def _photograph_chessboard(folder: Path) -> None:
 
 
 def _run(code: str, folder: Path) -> None:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    (folder / "presets").mkdir(exist_ok=True)
-    (folder / "presets" / "sitecustomize.py").write_text(_SMALL_PRESETS)
-    modules = os.pathsep.join([str(folder / "presets"), str(ROOT)])
-    environment = {**os.environ, "PATH": path, "HOME": str(folder), "PYTHONPATH": modules}
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", code],
         cwd=folder,
-        env=environment,
+        env=small_environment(folder),
         capture_output=True,
         text=True,
         timeout=_LONGEST_S,

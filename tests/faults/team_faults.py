@@ -29,7 +29,7 @@ from typing import Any
 
 from tests.faults.servers import Postgres, PrefectProcess, free_port, postgres, prefect_server
 from tests.faults.test_video_faults import end, tracking_server
-from tests.orchestration import _migrated_store
+from tests.orchestration import migrated_store
 from tests.small_clips import LONGER, SMALL_OPTIONS, computing, small_clip
 
 COMPARED = ("motion.npz", "strip.png", "texture.png", "edges.json")
@@ -46,7 +46,7 @@ class Batch:
     def __init__(self, folder: Path, clips: int, frames: int, api: str) -> None:
         self.folder, self.out, self.store = folder, folder / "out", folder / "mlflow.db"
         folder.mkdir(parents=True)
-        shutil.copy(_migrated_store(), self.store)
+        shutil.copy(migrated_store(), self.store)
         made = small_clip(frames)
         for number in range(clips):
             place = folder / "clips" / f"clip{number}"

@@ -46,9 +46,9 @@ def test_killed_flow_and_killed_worker(out: Path, store: Path, tmp_path: Path) -
     finish(undisturbed)
     store.write_bytes(b"")  # the undisturbed run is recorded elsewhere
     store.unlink()
-    from tests.orchestration import _migrated_store
+    from tests.orchestration import migrated_store
 
-    store.write_bytes(_migrated_store().read_bytes())
+    store.write_bytes(migrated_store().read_bytes())
 
     before = stamps(out, "window_*.npz")
     victim = started(out, *LONGER)

@@ -20,6 +20,7 @@ class Skin:
         vertices: [m].
         normals: normals of length one.
         uv: v = 0 is the top row of the texture.
+        points: the body's vertex of each.
         joints: sets of four per vertex, the heaviest first; as many sets as the model needs.
         weights: sets of four per vertex, the heaviest first; as many sets as the model needs.
         corners: corners of the faces, three each.
@@ -28,6 +29,7 @@ class Skin:
     vertices: Float[Array, "P 3"]
     normals: Float[Array, "P 3"]
     uv: Float[Array, "P 2"]
+    points: Shaped[Array, "P"]
     joints: tuple[Shaped[Array, "P 4"], ...]
     weights: tuple[Float[Array, "P 4"], ...]
     corners: Shaped[Array, "C"]
@@ -49,6 +51,7 @@ def skin_of(body: Body, betas: Float[Tensor, "K"]) -> Skin:
         vertices=_float32(vertices)[points[:, 0]],
         normals=_float32(normals)[points[:, 0]],
         uv=_float32(body.mesh.uv)[points[:, 1]],
+        points=points[:, 0],
         joints=tuple(joints[points[:, 0]] for joints, _ in sets),
         weights=tuple(weights[points[:, 0]] for _, weights in sets),
         corners=index.reshape(-1).astype(np.uint16 if len(points) < 2**16 - 1 else np.uint32),

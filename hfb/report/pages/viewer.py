@@ -21,7 +21,7 @@ from hfb.geometry.rotations import axis_angle_to_quaternion
 from hfb.interop.writers.keys import rest_joints
 from hfb.interop.writers.skin import Skin, skin_of
 from hfb.motion.sampled import SampledMotion
-from hfb.report.pages.page import data_uri, page_file, render
+from hfb.report.pages.page import data_uri, page, page_file, render
 from hfb.typing import Array, Shaped
 
 _SCRIPTS = ("viewer_motion.js", "viewer_surface.js", "viewer_skeleton.js", "viewer.js")
@@ -70,6 +70,18 @@ def viewer(
     scene = htmlsafe_json_dumps(content, separators=(",", ":"), allow_nan=False)
     name = hashlib.sha256(scene.encode()).hexdigest()[:8]
     return render("viewer.html", name=name, label=label, scene=scene)
+
+
+def viewer_page(motions: Sequence[ViewedMotion], body: Body | None, texture_png: bytes | None, title: str) -> str:
+    """Return a page that is nothing but a viewer. Arguments as of `viewer`.
+
+    Args:
+        motions: of one person.
+        body: their model.
+        texture_png: its texture.
+        title: of the page.
+    """
+    return page("base.html", title, content=viewer(motions, body, texture_png), scripts=viewer_scripts())
 
 
 def viewer_scripts() -> tuple[str, ...]:
