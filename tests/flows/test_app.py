@@ -340,7 +340,7 @@ def test_a_port_that_is_taken_is_told(
 
 
 def test_who_follows_the_address_at_once_is_not_refused() -> None:
-    with app_cli._listening(0) as listening, socket.create_connection(listening.getsockname(), timeout=5):
+    with app_cli.listen(0) as listening, socket.create_connection(listening.getsockname(), timeout=5):
         pass
 
 
