@@ -126,7 +126,6 @@ class LiveView:
         if state == self._state:
             return
         self._state = state
-        self._text.content = f"frame {motion.frame_index[row]}, {1000 * motion.times_s[row]:.1f} ms"
         if self._skin is not None:
             mesh = self._mesh(row)
             mesh.visible = self._surface.value
@@ -136,6 +135,7 @@ class LiveView:
             for ahead in range(row + 1, min(row + 4, len(motion.times_s))):
                 self._mesh(ahead)  # the browser has read it when its turn comes
         self._show_joints(motion, row)
+        self._text.content = f"frame {motion.frame_index[row]}, {1000 * motion.times_s[row]:.1f} ms"  # it is shown now
 
     def _mesh(self, row: int) -> Any:
         """Return the body of a row in the scene; where it is new it is not visible."""
