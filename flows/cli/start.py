@@ -48,9 +48,12 @@ def main() -> int:
     if words and words[0] in _COMMANDS:
         share_memory()
     idle_s = wanted(words)
+    begun = None
     if idle_s is not None:
-        with contextlib.suppress(OSError, ValueError, KeyError):  # nothing of the command has begun
-            return _through_resident(words, idle_s)
+        with contextlib.suppress(OSError, ValueError, KeyError):
+            begun = _begin(words, idle_s)
+    if begun is not None:
+        return _wait(*begun)
     from hfb.flows.cli.cli import main as run
 
     return run(words)
@@ -92,22 +95,29 @@ def _settings_here() -> bool:
     return any(Path(name).exists() for name in (".env", "prefect.toml", ".numba_config.yaml", "matplotlibrc"))
 
 
-def _through_resident(words: list[str], idle_s: float) -> int:
-    """Run a command in a child of the resident process. Raises OSError where there is none, before anything began."""
+def _begin(words: list[str], idle_s: float) -> tuple[socket.socket, int]:
+    """Have a child of the resident process begin a command; returns what `_wait` needs.
+
+    Raises OSError where there is none. A child that began all the same ends with the connection, which is closed then.
+    """
     files = [os.dup(number) for number in (0, 1, 2)]  # OSError: one is closed
     files.append(os.open(".", os.O_RDONLY | os.O_DIRECTORY))
     ignored = [name for name in FORWARDED if signal.getsignal(getattr(signal, name)) is signal.SIG_IGN]
     umask = os.umask(0o077)
     os.umask(umask)
     request = {"words": words, "program": sys.argv[0], "environment": dict(os.environ), "umask": umask}
-    with _connection(idle_s) as resident:
+    resident = _connection(idle_s)
+    try:
         send(resident, {**request, "ignored": ignored}, files)
         for file in files:
             os.close(file)
         resident.settimeout(_STARTS_WITHIN_S)
         _, (child,) = receive(resident)  # OSError: it ended, or cannot fork
         resident.settimeout(None)
-        return _wait(resident, child)
+    except BaseException:
+        resident.close()
+        raise
+    return resident, child
 
 
 def _wait(resident: socket.socket, child: int) -> int:

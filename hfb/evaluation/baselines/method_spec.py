@@ -183,7 +183,7 @@ def program_of(text: str) -> Path | None:
     Args:
         text: the entry.
     """
-    file, colon, _ = text.partition("=")[2].strip().rpartition(":")
+    file, colon, _ = text.strip().partition("=")[2].rpartition(":")  # as it is run, to the last blank
     return Path(file) if colon and file.endswith(".py") else None
 
 

@@ -8,7 +8,7 @@ import pytest
 from hfb.body.assets import load_default_body
 from hfb.errors import InputError
 from hfb.evaluation.baselines.build import make_method
-from hfb.evaluation.baselines.method_spec import method_spec
+from hfb.evaluation.baselines.method_spec import method_spec, program_of
 from tests.evaluation.baselines.cases import bare_case
 from tests.scenes import moving_scene
 
@@ -96,6 +96,14 @@ def test_a_wrong_entry_is_told_before_the_file_is_run(file: Path, capfd: pytest.
     file.write_text("def f(a, b):\n    return a\n1 / 0\n")
     with pytest.raises(InputError, match=r"mine\.py: ZeroDivisionError: division by zero"):
         make_method(method_spec(f"mine={file}:f"), load_default_body())
+
+
+def test_the_file_that_is_checked_is_the_one_that_is_run(file: Path) -> None:
+    """A blank before the path is part of it: a deployment compares the same path with its list."""
+    assert program_of(f" mine={file}:still ") == file
+    assert program_of(f"mine= {file}:still") == Path(f" {file}")
+    with pytest.raises(InputError, match="cannot be read"):
+        method_spec(f"mine= {file}:still")
 
 
 def test_another_content_is_another_method(file: Path) -> None:
