@@ -156,6 +156,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[],
     progress.say(f"hfb: {plate.source}")
     track = find_person(footage, plate, inputs.clip.person, inputs.track)
     plate_faults = _check_plate(inputs, plate, track)
+    tell(plate_faults)
     alone = track.others == 0
     if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
@@ -166,8 +167,8 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[],
     extracted = require_all(extract_frames, chunks, "frames", look)
     frames = tuple(file for chunk in extracted for file in chunk.files)
     if moves := tell_distances([distance for chunk in extracted for distance in chunk.beside_px]):
-        plate_faults += input_warnings((moves,), (moves,))
-    tell(plate_faults)
+        tell(moved := input_warnings((moves,), (moves,)))
+        plate_faults += moved
     if exposures := describe_gains([frame.gain for frame in frames]):
         progress.say(f"hfb: {exposures}")
     calls = [
