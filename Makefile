@@ -110,10 +110,11 @@ clean:
 # Stamps are newer than what they were made from: an edit of either file installs again.
 .venv/run.stamp: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "hfb needs Python 3.11, 3.12 or 3.13; name one with make PYTHON=/path/to/python"; exit 1; }
-	@echo "installing into .venv (about two minutes; once)"
+	@echo "installing into .venv (about three minutes; once)"
 	@$(PYTHON) -m venv .venv
 	@$(PIP) install --retries 1 --extra-index-url $(TORCH_INDEX) --no-deps $$(grep '^torch==' constraints.txt)
 	@$(PIP) install --constraint constraints.txt --editable .
+	-@$(BIN)/python -m hfb.kernels.ready
 	@touch $@
 
 .venv/dev.stamp: .venv/run.stamp

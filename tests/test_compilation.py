@@ -10,13 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from hfb.kernels.compile import _sources
+from hfb.kernels.compile import READY, sources_folder
+from tests.orchestration import TINY_OPTIONS
 
 pytestmark = pytest.mark.integration
 
 SCRIPT = """
 import hashlib
 import sys
+from pathlib import Path
+from hfb.kernels import compile
+compile.READY = Path("nowhere")
 from dataclasses import replace
 import numpy as np
 import torch
@@ -170,6 +174,76 @@ def test_a_full_disk_under_the_cache_costs_a_remark(package: Path) -> None:
     assert told.count("cannot be kept") == 1
 
 
+def test_ready_made_kernels_are_found_and_never_written(package: Path) -> None:
+    ready, own = package.parent / "ready", package.parent / "own"
+    there = f"from pathlib import Path\nfrom hfb.kernels import compile\ncompile.READY = Path({str(ready)!r})\n"
+    assert called(package, NUMBA_CACHE_DIR=str(ready))[0] == "5.0 0 1"
+    made = {path: path.read_bytes() for path in ready.rglob("*.nb?")}
+
+    def found(**settings: str) -> str:
+        shutil.rmtree(own, ignore_errors=True)
+        printed, told = called(package, there, NUMBA_CACHE_DIR=str(own), **settings)
+        assert told == ""
+        assert {path: path.read_bytes() for path in ready.rglob("*.nb?")} == now
+        assert any(own.rglob("*.nbi")) == (printed == "5.0 0 1")
+        return printed
+
+    now = made
+    assert found() == "5.0 1 0"
+    assert found(NUMBA_CPU_NAME="generic") == "5.0 0 1", "of another processor"
+    for path, content in made.items():
+        for damaged in (b"", b"garbage", content[:-20]):
+            path.write_bytes(damaged)
+            now = made | {path: damaged}
+            assert found() == "5.0 0 1"
+        path.write_bytes(content)
+    now = made
+    assert found() == "5.0 1 0"
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a copy of the package alone, without ready-made kernels."""
+    folder = tmp_path_factory.mktemp("copied")
+    ignored = shutil.ignore_patterns("__pycache__", READY.name)
+    shutil.copytree(Path(__file__).parents[1] / "hfb", folder / "hfb", ignore=ignored)
+    return folder
+
+
+def of_copy(copied: Path, home: Path) -> dict[str, str]:
+    """An environment in which the copy is the package, for a user who has nothing yet."""
+    kept = {name: os.environ[name] for name in ("PATH", "OMP_NUM_THREADS", "LANG") if name in os.environ}
+    return kept | {"PYTHONPATH": str(copied), "HOME": str(home)}
+
+
+def test_with_ready_made_kernels_a_command_compiles_nothing(copied: Path, tmp_path: Path) -> None:
+    """They are made by the installation's command; most are what the suite has compiled already."""
+    ready = copied / "hfb/kernels" / READY.name / sources_folder()
+    for there in (READY / sources_folder(), Path(os.environ["NUMBA_CACHE_DIR"]) / sources_folder()):
+        if there.exists():
+            shutil.copytree(there, ready, dirs_exist_ok=True)
+    for path in ready.glob("image_kernels.levels-*"):
+        path.unlink()
+    older = ready.with_name("hfb-0000000000000000")
+    older.mkdir(parents=True)
+    environment = of_copy(copied, tmp_path)
+    subprocess.run([sys.executable, "-m", "hfb.kernels.ready"], env=environment, cwd=tmp_path, check=True)
+    assert (list(ready.glob("*.lock")), older.exists()) == ([], False)
+    made = {path.name: path.stat().st_mtime_ns for path in ready.iterdir()}
+    assert any(name.startswith("image_kernels.levels-") for name in made)
+    words = ["demo", "--quiet", "--out", str(tmp_path / "out"), *TINY_OPTIONS]
+    done = subprocess.run(
+        [sys.executable, "-m", "hfb.flows.cli.start", *words],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in (tmp_path / ".cache/hfb/kernels").rglob("*.nb?")] == []
+    assert {path.name: path.stat().st_mtime_ns for path in ready.iterdir()} == made
+
+
 def computed(cache: Path) -> tuple[int, int, str]:
     """(kernels that were loaded, kernels that were compiled, hash of results) of a process with this cache."""
     done = subprocess.run(
@@ -192,7 +266,7 @@ def test_a_second_process_compiles_nothing_and_computes_the_same(tmp_path: Path)
     the same kernels on the same machine the comparison is not made twice.
     """
     ours = Path(os.environ["NUMBA_CACHE_DIR"])
-    folder = ours / f"hfb-{_sources()[:16]}"
+    folder = ours / sources_folder()
     compared = folder / f"compared-{sha256(SCRIPT.encode()).hexdigest()[:8]}.txt"
     if compared.exists():
         computed(ours)  # compiles what is not there: kernels may have been compared in another folder

@@ -36,6 +36,8 @@ _SERVER_ERROR = 500
 _FULL = re.compile(r"disk is full|No space left|File too large")
 _LOG_BYTES = 2_000_000
 _NEEDED_BYTES = 1 << 20  # of a new database
+# Searching its imports for garbage would take three tenths of the time until the server answers.
+_SERVE = "import gc; gc.disable(); import prefect.server.api.server, uvicorn; gc.freeze(); gc.enable(); uvicorn.main()"
 
 
 def log_path() -> Path:
@@ -195,7 +197,7 @@ def _start_server(api: str, database: str, settings: dict[str, str], log_path: P
         "PREFECT_SERVER_DATABASE_CONNECTION_URL": database,
         "PREFECT_SERVER_DATABASE_MIGRATE_ON_START": "true",
     }
-    command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
+    command = [sys.executable, "-P", "-c", _SERVE, "--factory", "prefect.server.api.server:create_app"]
     command += ["--host", "127.0.0.1", "--port", str(urlsplit(api).port), "--log-level", "error", "--lifespan", "on"]
     with log_path.open("wb") as log:
         process = subprocess.Popen(

@@ -25,7 +25,7 @@ import numba
 import platformdirs
 from filelock import FileLock, Timeout
 from numba import config, njit
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 
 JIT = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # Loops compiled without reference counting: numba would count every array at every call within the loops, half
@@ -38,13 +38,16 @@ INLINE = {**LOOP, "forceinline": True}
 _SUM = {**LOOP, "fastmath": {"contract", "reassoc"}}
 SUM_INLINE = {**_SUM, "forceinline": True}
 
+READY = Path(__file__).parent / "ready_made"
+"""Kernels of the package (`hfb.kernels.ready`), as trusted as its sources; a user's own come first."""
+
 
 @lru_cache
-def _sources() -> str:
-    """Return the hash of all that determines the machine code but the CPU (which numba's index distinguishes)."""
+def sources_folder() -> str:
+    """Return the name of the folder for all that determines machine code but the CPU (which numba's index tells)."""
     files = sorted(Path(__file__).parent.rglob("*.py"))
     versions = f"{numba.__version__} {llvmlite.__version__}".encode()
-    return sha256(versions + b"".join(file.read_bytes() for file in files)).hexdigest()
+    return f"hfb-{sha256(versions + b''.join(file.read_bytes() for file in files)).hexdigest()[:16]}"
 
 
 _DAMAGED = OSError, EOFError, pickle.UnpicklingError, ValueError, LookupError, AttributeError, ImportError, RuntimeError
@@ -71,7 +74,7 @@ class _SourcesLocator(_CacheLocator):
         return str(self._folder)
 
     def get_source_stamp(self):
-        return sha256(_sources().encode() + Path(self._py_file).read_bytes()).hexdigest()
+        return sha256(sources_folder().encode() + Path(self._py_file).read_bytes()).hexdigest()
 
     def get_disambiguator(self):
         return str(self._line)
@@ -88,7 +91,7 @@ def _places(file: Path) -> Iterator[Path]:
 @lru_cache
 def _prepared(place: Path) -> Path:
     """Return the sources' folder in a writable place; folders that were not used lately are removed."""
-    folder = place / f"hfb-{_sources()[:16]}"
+    folder = place / sources_folder()
     folder.mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()
     os.utime(folder)
@@ -108,10 +111,16 @@ class _SourcesCache(FunctionCache):
     """A cache for functions whose callees are in several files; numba's own checks only the function's file.
 
     It is in `NUMBA_CACHE_DIR`, the user's cache, beside the sources, or else in a temporary folder; a damaged one is
-    rebuilt. Of several processes that need a kernel that is not compiled yet, one compiles it.
+    rebuilt. What is not there may be among the package's ready-made kernels, which are only read: of other sources, for
+    another processor or damaged they are none. Of several processes that need a kernel that is not compiled yet, one
+    compiles it.
+
+    Attributes:
+        waits: for a kernel that another process compiles; else `load_overload` raises Timeout.
     """
 
     _impl_class = _SourcesCacheImpl
+    waits = True
 
     def __init__(self, function):
         try:
@@ -119,7 +128,14 @@ class _SourcesCache(FunctionCache):
         except RuntimeError:  # no folder can be written
             _use_temporary_folder()
             super().__init__(function)
+        made = self._impl.filename_base, self._impl.locator.get_source_stamp()
+        self._ready_file = IndexDataCacheFile(str(READY / sources_folder()), *made)
         self._lock = None
+
+    def knows(self, sig, target_context):
+        """Return whether a kernel is kept, or ready, for this processor."""
+        key = self._index_key(sig, target_context.codegen())
+        return any(key in _index(file) for file in (self._cache_file, self._ready_file))
 
     def load_overload(self, sig, target_context):
         found = self._loaded(sig, target_context)
@@ -128,8 +144,10 @@ class _SourcesCache(FunctionCache):
         # made now: a forked process may not use its parent's
         self._lock = FileLock(Path(self._cache_path) / f"{self._impl.filename_base}.lock", thread_local=False)
         try:
-            self._lock.acquire(timeout=_LOCKED_S)
-        except (OSError, NotImplementedError, Timeout) as error:
+            self._lock.acquire(timeout=_LOCKED_S if self.waits else 0)
+        except (OSError, NotImplementedError) as error:  # Timeout is an OSError
+            if isinstance(error, Timeout) and not self.waits:
+                raise
             _log.info("%s: compiled without a lock (%s)", self._name, error)
             return None
         found = self._loaded(sig, target_context)
@@ -144,12 +162,17 @@ class _SourcesCache(FunctionCache):
 
     def _loaded(self, sig, target_context):
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except _DAMAGED as error:
             _log.info("%s: compiled again, since its cache cannot be read (%s)", self._name, error)
             with suppress(OSError):
                 self.flush()
-            return None
+            found = None
+        if found is None:
+            with suppress(*_DAMAGED):
+                data = self._ready_file.load(self._index_key(sig, target_context.codegen()))
+                found = data and self._impl.rebuild(target_context, data)
+        return found
 
     def save_overload(self, sig, data):
         try:
@@ -159,6 +182,13 @@ class _SourcesCache(FunctionCache):
             self.disable()
         finally:
             self._unlock()
+
+
+def _index(file):
+    """Return the kernels that an index tells of; none where it cannot be read."""
+    with suppress(*_DAMAGED):
+        return file._load_index()
+    return {}
 
 
 _entries = []
@@ -172,14 +202,27 @@ def _cached(compiled, function):
 
 
 def load_cached():
-    """Load the machine code of all imported kernels that is in the cache; yields after each, compiles nothing."""
+    """Load the machine code of all imported kernels that is kept or ready; yields after each, compiles nothing."""
     for compiled in _entries:
-        cache, codegen = compiled._cache, compiled.targetctx.codegen()
-        with suppress(*_DAMAGED):
-            for key in cache._cache_file._load_index():
-                if key == cache._index_key(key[0], codegen):
-                    compiled.compile(key[0])
-                    yield
+        cache = compiled._cache
+        for sig, *_ in {**_index(cache._ready_file), **_index(cache._cache_file)}:
+            if cache.knows(sig, compiled.targetctx):
+                with suppress(*_DAMAGED):
+                    compiled.compile(sig)
+                yield
+
+
+def compile_unless_taken(compiled, sig):
+    """Compile a kernel that is neither kept nor ready, unless another process does so now.
+
+    Args:
+        compiled: a kernel.
+        sig: types of its arguments.
+    """
+    if not compiled._cache.knows(sig, compiled.targetctx):
+        compiled._cache.waits = False
+        with suppress(Timeout):
+            compiled.compile(sig)
 
 
 def _use_temporary_folder():
@@ -189,8 +232,17 @@ def _use_temporary_folder():
     except OSError:
         _say_once("kernels are compiled again by every process, since no folder can be written: set NUMBA_CACHE_DIR")
         return
-    config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    keep_in(folder)
     _say_once(f"kernels are kept in {folder} only, since no cache folder can be written: set NUMBA_CACHE_DIR to one")
+
+
+def keep_in(folder):
+    """Keep the kernels of this process, and of those that it starts, in a folder.
+
+    Args:
+        folder: of any name.
+    """
+    config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
 
 def _private_folder():

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import pty
+import shlex
 import signal
 import socket
 import struct
@@ -12,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,11 +85,15 @@ def place() -> Iterator[Place]:
             ended(process)
 
 
+def state_of(process: int | None) -> str:
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+
+
 def ended(process: int, within_s: float = 20) -> bool:
     deadline = time.monotonic() + within_s
     while time.monotonic() < deadline:
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX":
+            if state_of(process) not in "ZX":
                 time.sleep(0.05)
                 continue
         return True
@@ -166,6 +171,43 @@ def test_a_killed_or_hung_up_client_ends_its_command(place: Place) -> None:
         assert process is not None
         assert ended(process)
         assert not (place.folder / "problem" / f"gone-{sent}" / "result.json").exists()
+
+
+def test_ctrl_z_stops_a_command_and_fg_goes_on_with_it(place: Place) -> None:
+    """In a real shell with job control, on a terminal."""
+    shell, terminal = pty.fork()
+    if shell == 0:
+        os.chdir(place.folder / "problem")
+        os.execvpe("bash", ["bash", "--norc", "--noprofile", "-i"], place.environment(TERM="dumb"))
+    shown = bytearray()
+
+    def read() -> None:
+        with contextlib.suppress(OSError):  # the shell has ended
+            while part := os.read(terminal, 1 << 12):
+                shown.extend(part)
+
+    def wait(is_so: Callable[[], object]) -> None:
+        deadline = time.monotonic() + 120
+        while not is_so():
+            assert time.monotonic() < deadline, shown.decode()
+            time.sleep(0.1)
+
+    def type_in(line: str) -> None:
+        os.write(terminal, line.encode())
+
+    threading.Thread(target=read, daemon=True).start()
+    type_in(shlex.join([sys.executable, "-m", "hfb.flows.cli.start", *place.fit("stopped")]) + "\n")
+    wait(lambda: b"matte: " in shown or b"first body" in shown)
+    command = child_of(place.found())
+    type_in("\x1a")
+    wait(lambda: b"Stopped" in shown)
+    wait(lambda: state_of(command) == "T")
+    type_in("fg\n")
+    wait(lambda: state_of(command) != "T")
+    type_in("echo ended with $?; exit\n")
+    wait(lambda: b"ended with 0" in shown)
+    os.waitpid(shell, 0)
+    assert (place.folder / "problem/stopped/result.json").exists()
 
 
 def test_two_at_once(place: Place) -> None:

@@ -50,13 +50,20 @@ def no_words(words: str) -> None:
     raise AssertionError(words)
 
 
-def started(home: Path) -> subprocess.CompletedProcess[str]:
-    """A temporary server with a home, in a process of its own."""
+def started(home: Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """A temporary server with a home, in a process of its own, which is in a folder."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     environment |= {"PREFECT_HOME": str(home), "DO_NOT_TRACK": "1"}
-    return subprocess.run(
-        [sys.executable, "-c", SERVER], env=environment, capture_output=True, text=True, timeout=240, check=False
-    )
+    words = [sys.executable, "-P", "-c", SERVER]
+    return subprocess.run(words, env=environment, cwd=folder, capture_output=True, text=True, timeout=240, check=False)
+
+
+def test_the_server_imports_nothing_of_the_folder(tmp_path: Path) -> None:
+    for name in ("uvicorn", "sqlalchemy", "prefect"):
+        (tmp_path / f"{name}.py").write_text("open('imported', 'w')")
+    done = started(tmp_path / "home", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "imported").exists()
 
 
 def test_a_full_disk_is_named_although_the_log_lies_on_it(tmp_path: Path) -> None:
