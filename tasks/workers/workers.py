@@ -7,6 +7,7 @@ not depend on their number: each computes with one thread, and nothing is shared
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import logging.handlers
 import multiprocessing
@@ -169,6 +170,8 @@ class _Utilisation:
 _pool: _Pool | None = None
 _cluster: Cluster | None = None
 _threads = 1
+_last: object = None
+"""The function that this worker ran last."""
 _mapped = _Utilisation()
 
 
@@ -276,9 +279,19 @@ def run_remote(function: Callable[..., R], call: Call, gpu: bool = False) -> R:
 
 
 def _run_timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> tuple[R, float]:
+    global _last
+    if function is not _last:
+        _last = function
+        _return_memory()
     began = time.monotonic()
     with about(ids):
         return bare(function)(*args, **kwargs), time.monotonic() - began
+
+
+def _return_memory() -> None:
+    """Give what the last kind of task has freed back to the system, before another kind lays its own beside it."""
+    with suppress(OSError, AttributeError):  # another system's C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _begin(records: Any, environment: dict[str, str]) -> None:

@@ -100,6 +100,27 @@ def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:
         assert napped / (ended - began) - 1e-4 <= share <= (answered - entered) / (left - entered) + 1e-4
 
 
+def test_another_kind_of_work_begins_without_the_memory_of_the_last() -> None:
+    """Small pieces below one that stays: the C library keeps them for the process's own use."""
+    with workers(1, apart=True):
+        run_local(leave_free_memory)
+        assert run_local(resident_mb) < run_local(leave_free_memory) - 100
+
+
+def leave_free_memory() -> float:
+    pieces = [bytes(10_000) for _ in range(30_000)]
+    _held.append(pieces[-1])
+    del pieces
+    return resident_mb()
+
+
+def resident_mb() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE") / 2**20
+
+
+_held: list[bytes] = []
+
+
 def nap(seconds: float) -> float:
     began = time.monotonic()
     time.sleep(seconds)
