@@ -181,6 +181,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[],
             network=inputs.matting,
             landmarks=config.init.landmarks,
             pose_networks=shade_networks(config.init, inputs.networks),
+            quick=config.fit.matte_again,
             folder=folder,
         )
         for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))
