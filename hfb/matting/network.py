@@ -134,6 +134,7 @@ class RenderConditionedMatting:
         frame_linear: in linear light.
         plate_linear: in linear light.
         matte: alpha as it was found before the fit.
+        longer_px: longer side at which the network looks, 288 px at most.
     """
 
     def __init__(
@@ -141,8 +142,9 @@ class RenderConditionedMatting:
         frame_linear: Float[Array, "H W 3"],
         plate_linear: Float[Array, "H W 3"],
         matte: Float[Array, "H W"],
+        longer_px: int = _CROP_PX,
     ) -> None:
-        self._matte, self._longer = matte, min(_CROP_PX, max(matte.shape))
+        self._matte, self._longer = matte, min(_CROP_PX, longer_px, max(matte.shape))
         frame, plate, self._before = (shrink(one, self._longer) for one in (frame_linear, plate_linear, matte))
         self._pictures, self._seen = _seen_before_fit(frame, plate, self._before)
 

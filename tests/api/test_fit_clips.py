@@ -55,6 +55,10 @@ def test_the_same_digits_as_the_command(motion: hfb.Result, tmp_path: Path) -> N
     assert space == motion.betas_space
     for name in ARRAYS:
         assert np.array_equal(getattr(by_command, name), getattr(motion.motion, name), equal_nan=True), name
+    assert facts["windows"] == 4  # of four frames each, and one person of a pair of frames
+    for name in ("window_000000", "window_000009", "person_window_*"):
+        (window,) = (out / "intermediate").glob(f"{name}.npz")
+        assert len(np.load(window)["frames"]) == {"window_000000": 4, "window_000009": 3}.get(name, 2)
     saved = motion.save(tmp_path / "saved")
     for name in ("motion.npz", "edges.json", "texture.png", "strip.png"):
         assert (saved / name).read_bytes() == (out / name).read_bytes(), name
