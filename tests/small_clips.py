@@ -47,6 +47,8 @@ SMALL_OPTIONS = (
     "false",
     "--export.films",
     "none",
+    "--video.window",
+    "2",
     "--video.person-windows",
     "1",
     "--video.stages",

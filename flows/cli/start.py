@@ -45,7 +45,7 @@ FORWARDED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2")
 def main() -> int:
     """Run the command of this process's words; returns the exit code."""
     words = sys.argv[1:]
-    if words and words[0] in _COMMANDS:
+    if words and words[0] in (*_COMMANDS, "video"):
         share_memory()
     idle_s = wanted(words)
     begun = None

@@ -32,6 +32,9 @@ from hfb.typing import Float, Tensor
 _NOBODY = 0.01
 """Share of a pixel: where both fit and matte cover less, the frame is kept."""
 
+_MATTING_SIZE = 1.25
+"""Size at which a matte is predicted again, relative to that at which it is compared."""
+
 
 @dataclass(frozen=True)
 class InitialEvidence:
@@ -42,11 +45,13 @@ class InitialEvidence:
         joints: the joint network's prediction; None where no term uses it.
         corrected: whether the prediction is corrected between stages. What corrects it learned from starts with
             simulated errors: from a pose network's start, fits of real images are better without.
+        matting_px: longer side [px] at which mattes are predicted again, at most.
     """
 
     observation: Observation
     joints: JointEvidence | None = None
     corrected: bool = True
+    matting_px: int = 288
 
     @cached_property
     def mattings(self) -> tuple[RenderConditionedMatting, ...]:
@@ -54,7 +59,7 @@ class InitialEvidence:
         seen = self.observation
         plate = seen.to_linear(seen.plate_linear).numpy()
         frames = zip(seen.to_linear(seen.frames_linear).numpy(), seen.mattes.numpy(), strict=True)
-        return tuple(RenderConditionedMatting(frame, plate, matte) for frame, matte in frames)
+        return tuple(RenderConditionedMatting(frame, plate, matte, self.matting_px) for frame, matte in frames)
 
 
 def predict_initial_evidence(
@@ -79,6 +84,7 @@ def predict_initial_evidence(
         window,
         predict_joint_evidence(observation, first_bodies, body) if needed else None,
         corrected="network" not in {start_kind(one.source) for one in first_bodies},
+        matting_px=round(_MATTING_SIZE * max((stage.size_px for stage in config.stages), default=0)),
     )
 
 

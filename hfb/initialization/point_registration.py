@@ -17,6 +17,7 @@ from hfb.errors import InputError
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.limb_angles import kabsch, rotations_from_joints
 from hfb.initialization.registration import natural_pose
+from hfb.initialization.torch_adam import Adam
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Array, Bool, Float, Int, Tensor
 
@@ -272,20 +273,15 @@ def fit_points(
     turns = torch.zeros_like(start.rotations[..., 0]).requires_grad_()
     places = start.places.clone().requires_grad_()
     betas = start.betas.clone().requires_grad_(start.shape_is_free)
-    groups = [{"params": [turns], "lr": rate}, {"params": [places], "lr": rate / 2}]
-    if start.shape_is_free:
-        groups.append({"params": [betas], "lr": 2 * rate})
-    optimiser = torch.optim.Adam(groups)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, iterations), rate / 20)
+    leaves = [(turns, rate), (places, rate / 2), (betas, 2 * rate)]
+    optimiser = Adam(leaves if start.shape_is_free else leaves[:2], cosine=(max(1, iterations), rate / 20))
     prior, fixed = AnatomicalPrior(), None if start.shape_is_free else body.shape(start.betas)
     for _ in range(iterations):
-        optimiser.zero_grad()
         rotations = start.rotations @ axis_angle_to_matrix(turns)
         loss, _ = misfit(fixed or body.shape(betas), rotations, places)
         likely = _PRIOR * prior(matrix_to_axis_angle(rotations[:, 1:]))
         (loss.sum() + likely.sum() + len(places) * (betas * betas).sum() / 20).backward()
         optimiser.step()
-        schedule.step()
     with torch.no_grad():
         rotations = start.rotations @ axis_angle_to_matrix(turns)
         _, residual = misfit(fixed or body.shape(betas), rotations, places)

@@ -15,6 +15,7 @@ from hfb.geometry.procrustes import nearest_rotations
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.landmark_lift import HIPS, JOINT_POINTS, POINTS, LiftedPoints
 from hfb.initialization.landmarks import LANDMARK, Landmarks
+from hfb.initialization.torch_adam import Adam
 from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Float, Int, Tensor
@@ -112,13 +113,9 @@ def register(
     # The optimised root turn is relative to the first guess: no wrap-around at pi, where upright people are.
     free_pose = torch.cat([torch.zeros(1, 3, dtype=dtype), natural_pose(dtype)])
     variables = [free.requires_grad_() for free in (free_pose, translation, betas)]
-    optimiser = torch.optim.Adam(
-        [{"params": [free], "lr": rate} for free, rate in zip(variables, (0.05, 0.02, 0.02), strict=True)]
-    )
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations, 0.002)
+    optimiser = Adam(list(zip(variables, (0.05, 0.02, 0.02), strict=True)), cosine=(iterations, 0.002))
     prior = AnatomicalPrior()
     for _ in range(iterations):
-        optimiser.zero_grad()
         rotations = axis_angle_to_matrix(free_pose)
         rotations = torch.cat([(rotations[0] @ R_root)[None], rotations[1:]])
         rest = body.joint_template + body.joint_shape_directions @ betas
@@ -127,7 +124,6 @@ def register(
         loss = loss + 0.03 * prior(free_pose[None, 1:])[0] + 2 * (betas * betas).sum()
         loss.backward()
         optimiser.step()
-        schedule.step()
     with torch.no_grad():
         final = free_pose.clone()
         final[0] = matrix_to_axis_angle(axis_angle_to_matrix(free_pose[0]) @ R_root)

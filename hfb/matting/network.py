@@ -33,8 +33,6 @@ from hfb.typing import Array, Float
 
 _WHOLE_PX = 256
 _CROP_PX = 288
-_LOOKS = (1.0, 1.4)
-"""Sizes of the crop, relative to at most _CROP_PX, at which it is looked at; a small one is enlarged."""
 _LEAST_PX = 32
 _MARGIN = 0.2
 _COVERED, _REACH = 0.05, 0.05
@@ -53,13 +51,18 @@ class NetworkMatting:
         network: the first network; None for the shipped one.
         second: the second network; None for the shipped one.
         blurred: whether a moving layer explains uncertain pixels, which takes half of the time.
+        looks: sizes of the crop, relative to at most 288 px, at which it is looked at; a small one is enlarged.
     """
 
     def __init__(
-        self, network: MatteNetwork | None = None, second: MatteNetwork | None = None, blurred: bool = True
+        self,
+        network: MatteNetwork | None = None,
+        second: MatteNetwork | None = None,
+        blurred: bool = True,
+        looks: tuple[float, ...] = (1.0, 1.4),
     ) -> None:
         """Load the shipped weights, or take other networks."""
-        self._blurred = blurred
+        self._blurred, self._looks = blurred, looks
         self._network = shipped_network() if network is None else network.eval()
         self._second = shipped_second() if second is None else second.eval()
 
@@ -81,7 +84,7 @@ class NetworkMatting:
         gain = _gain_without(first, small_frame, small_plate)
         lit = frame[inner], plate[inner] * gain
         longer = min(_CROP_PX, max(bottom - top, right - left))
-        crops = [[np.clip(_sized(one, round(longer * look)), 0, 1) for one in lit] for look in _LOOKS]
+        crops = [[np.clip(_sized(one, round(longer * look)), 0, 1) for one in lit] for look in self._looks]
         looks = (np.dstack(self.look_twice(crop[0], crop[1])) for crop in crops)
         size = crops[0][0].shape[1::-1]
         seen = [cv2.resize(look, size, interpolation=cv2.INTER_AREA) for look in looks]
@@ -131,6 +134,7 @@ class RenderConditionedMatting:
         frame_linear: in linear light.
         plate_linear: in linear light.
         matte: alpha as it was found before the fit.
+        longer_px: longer side at which the network looks, 288 px at most.
     """
 
     def __init__(
@@ -138,8 +142,9 @@ class RenderConditionedMatting:
         frame_linear: Float[Array, "H W 3"],
         plate_linear: Float[Array, "H W 3"],
         matte: Float[Array, "H W"],
+        longer_px: int = _CROP_PX,
     ) -> None:
-        self._matte, self._longer = matte, min(_CROP_PX, max(matte.shape))
+        self._matte, self._longer = matte, min(_CROP_PX, longer_px, max(matte.shape))
         frame, plate, self._before = (shrink(one, self._longer) for one in (frame_linear, plate_linear, matte))
         self._pictures, self._seen = _seen_before_fit(frame, plate, self._before)
 

@@ -181,6 +181,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path, look: Callable[[],
             network=inputs.matting,
             landmarks=config.init.landmarks,
             pose_networks=shade_networks(config.init, inputs.networks),
+            quick=config.fit.matte_again,
             folder=folder,
         )
         for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))
@@ -308,7 +309,7 @@ def _fill(scene: Scene, known: Mapping[int, FirstBodyHandle], looked: Mapping[in
 
 
 def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tuple[int, ...], float], None]) -> Fitted:
-    """Estimate the identity from a few windows, then fit every window with it.
+    """Estimate the identity from a few pairs of frames, then fit every window with it.
 
     Args:
         scene: the clip.
@@ -316,9 +317,10 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
         on_fitted: called in order with the frames that a window adds and its loss.
     """
     config = scene.config
-    windows = plan_windows(np.array(bodies.usable, bool), config.video.window)
-    settling = person_windows(windows, np.array(scene.areas), config.video.person_windows)
-    first_calls = [_window_call(scene, bodies, windows[index], None) for index in settling]
+    usable = np.array(bodies.usable, bool)
+    pairs, windows = plan_windows(usable, 2), plan_windows(usable, config.video.window)
+    settling = person_windows(pairs, np.array(scene.areas), config.video.person_windows)
+    first_calls = [_window_call(scene, bodies, pairs[index], None) for index in settling]
     first_fits = require_all(fit_clip_window, first_calls, "who it is", scene.look)
     fronts = weigh_segments(first_fits)
     bodies = _turn_bodies(scene, bodies, windows, fronts)
@@ -328,7 +330,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
         if found.mirrored != (found.segment in fronts and fronts[found.segment].mirrored)
     ]
     if again:  # neighbours outvoted what these windows kept
-        calls = [_window_call(scene, bodies, windows[index], None, turned=True) for index in again]
+        calls = [_window_call(scene, bodies, pairs[index], None, turned=True) for index in again]
         refitted = dict(
             zip(again, require_all(fit_clip_window, calls, "who it is, other front", scene.look), strict=True)
         )

@@ -94,7 +94,12 @@ def shade_networks(init: InitConfig, networks: tuple[FileHandle, ...]) -> tuple[
 
 
 def person_matting(
-    config: MattingConfig, own: FileHandle | None, landmarks: LandmarkChoice, networks: tuple[FileHandle, ...]
+    config: MattingConfig,
+    own: FileHandle | None,
+    landmarks: LandmarkChoice,
+    networks: tuple[FileHandle, ...],
+    *,
+    quick: bool = False,
 ) -> Matting:
     """Return the method of matting, without shade on the floor where there are networks that tell it.
 
@@ -103,6 +108,7 @@ def person_matting(
         own: the user's matting network; None for methods without one.
         landmarks: choice among the landmark networks.
         networks: those of the calling machine, by `shade_networks`.
+        quick: see `hfb.matting.methods.make_matting`.
 
     Raises:
         InputError: as `check_networks`.
@@ -110,7 +116,7 @@ def person_matting(
     from hfb.initialization.floor_shade import without_shade
     from hfb.matting.methods import make_matting
 
-    matting = make_matting(with_matting_network(config, own))
+    matting = make_matting(with_matting_network(config, own), quick)
     if not networks:
         return matting
     check_networks(InitConfig(landmarks=landmarks), networks)

@@ -39,6 +39,7 @@ class MatteCall(FrameCall):
         network: the user's own, for methods that need one.
         landmarks: choice among the landmark networks.
         pose_networks: those that tell the person from shade on the floor, by `shade_networks`.
+        quick: the windows' fits refine the matte.
     """
 
     box: tuple[float, float, float, float]
@@ -47,6 +48,7 @@ class MatteCall(FrameCall):
     network: FileHandle | None
     landmarks: LandmarkChoice
     pose_networks: tuple[FileHandle, ...]
+    quick: bool
 
 
 class KeyBodyCall(SeenFrameCall):
@@ -118,7 +120,9 @@ def find_matte(call: MatteCall) -> MatteHandle:
     from hfb.tasks.core.scene import load_image
     from hfb.tracking.tracks import keep_person, surroundings
 
-    matting = caller_parts().matting or person_matting(call.config, call.network, call.landmarks, call.pose_networks)
+    matting = caller_parts().matting or person_matting(
+        call.config, call.network, call.landmarks, call.pose_networks, quick=call.quick
+    )
     frame, plate = (load_image(one, call.still).numpy() for one in (call.still.frames[0], call.still.background))
     # A matte is of the largest thing that differs, which may be somebody else: each is then looked at alone.
     near = np.s_[:, :] if call.alone else surroundings(np.asarray(call.box), *frame.shape[:2])

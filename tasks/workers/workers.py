@@ -7,6 +7,7 @@ not depend on their number: each computes with one thread, and nothing is shared
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import logging.handlers
 import multiprocessing
@@ -35,6 +36,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 _ATTEMPTS = 3
 _log = logging.getLogger(__name__)
+_CONVOLUTIONS = "64"
+"""Compiled convolutions that oneDNN keeps, in place of 1,024: every size of a crop brings some 50, 90 kB each."""
 _LAST_WORDS_S = 0.5
 _PARENT_ONLY = ("hfb.flows", "hfb.tasks.tracking", "hfb.kernels.warp")
 """Modules that workers do not need, or that start threads when they are imported."""
@@ -169,6 +172,8 @@ class _Utilisation:
 _pool: _Pool | None = None
 _cluster: Cluster | None = None
 _threads = 1
+_last: object = None
+"""The function that this worker ran last."""
 _mapped = _Utilisation()
 
 
@@ -276,14 +281,25 @@ def run_remote(function: Callable[..., R], call: Call, gpu: bool = False) -> R:
 
 
 def _run_timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> tuple[R, float]:
+    global _last
+    if function is not _last:
+        _last = function
+        _return_memory()
     began = time.monotonic()
     with about(ids):
         return bare(function)(*args, **kwargs), time.monotonic() - began
 
 
+def _return_memory() -> None:
+    """Give what the last kind of task has freed back to the system, before another kind lays its own beside it."""
+    with suppress(OSError, AttributeError):  # another system's C library
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def _begin(records: Any, environment: dict[str, str]) -> None:
     os.environ.clear()
     os.environ.update(environment)  # the fork server has the one of its own start
+    os.environ.setdefault("ONEDNN_PRIMITIVE_CACHE_CAPACITY", _CONVOLUTIONS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     logging.captureWarnings(True)
     handler = logging.handlers.QueueHandler(records)

@@ -21,6 +21,9 @@ from hfb.initialization.initializer import make_initializer
 from hfb.matting.methods import make_matting
 from hfb.motion.motion_file import load_motion
 from hfb.priors.load import load_pose_prior
+from hfb.tasks.chains.clip_chain import fit_clip
+from hfb.tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.task import without_prefect
 from tests.api.conftest import TINY
 from tests.api.test_fit_images import ARRAYS
 from tests.orchestration import Problem
@@ -37,7 +40,7 @@ SMALL: dict[str, Any] = {
     "matte_scales": 1,
     "image_scales": 1,
     "key_every": FRAMES,
-    "video": {"person_windows": 1, "stages": [{"size_px": 32, "iterations": 3}], "longest_fill": 1},
+    "video": {"window": 2, "person_windows": 1, "stages": [{"size_px": 32, "iterations": 3}], "longest_fill": 1},
 }
 """`tests.small_clips.SMALL_OPTIONS` as keyword arguments."""
 
@@ -64,6 +67,16 @@ def test_the_same_digits_as_the_command(motion: hfb.Result, tmp_path: Path) -> N
         name: value for name, value in facts.items() if name in mine.keys() - other
     }
     assert hfb.load_result(saved).facts["windows"] == motion.facts["windows"]
+
+
+def test_a_pair_of_frames_settles_the_person_whatever_the_windows(tmp_path: Path) -> None:
+    config = small_config()
+    config = config.model_copy(update={"video": config.video.model_copy(update={"window": 4})})
+    with without_prefect():
+        fit_clip(take_video_inputs(small_clip(5).truth.parent, config), config, tmp_path)
+    lengths = {path.stem: len(np.load(path)["frames"]) for path in tmp_path.glob("*window_*.npz")}
+    (person,) = lengths.keys() - {"window_000000", "window_000003"}
+    assert lengths == {"window_000000": 4, "window_000003": 2, person: 2}
 
 
 def test_a_saved_clip_is_made_again(motion: hfb.Result, store: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Whole commands, as users start them; with BASELINE=another checkout that build's too, in turn, and the ratio."""
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -92,7 +93,8 @@ def test_memory_of_a_clips_worker(scale: Scale, figures: Figures, folder: Path) 
         with subprocess.Popen(command, env=there, stdout=subprocess.DEVNULL) as video:
             peak = 0.0
             while video.poll() is None:
-                peak = max([peak, *(_peak_mb(worker) for one in _children(video.pid) for worker in _children(one))])
+                processes = [process for one in _children(video.pid) for process in (one, *_children(one))]
+                peak = max([peak, *map(_peak_mb, processes)])
                 time.sleep(0.2)
         assert video.returncode == 0
         found[name] = peak
@@ -107,9 +109,9 @@ def _children(process: int) -> list[int]:
 
 
 def _peak_mb(process: int) -> float:
-    """Return the peak of a worker, which is a fork of multiprocessing's server; 0 for other processes."""
+    """Return the peak of a worker, of multiprocessing's server or started by itself; 0 for other processes."""
     try:
-        if b"forkserver" not in Path(f"/proc/{process}/cmdline").read_bytes():
+        if not re.search(rb"multiprocessing\.(forkserver|spawn)", Path(f"/proc/{process}/cmdline").read_bytes()):
             return 0.0
         status = Path(f"/proc/{process}/status").read_text()
     except OSError:

@@ -1,6 +1,8 @@
 """Landmarks that were taken off a known body lead back to it."""
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -104,3 +106,15 @@ def test_attachments_are_on_the_right_side() -> None:
     assert points[0][2] > points[7][2] + 0.05  # the nose is in front of the ears
     assert points[31][2] > points[29][2] + 0.15  # toes and heel
     assert points[31][0] > 0 > points[32][0]
+
+
+def test_registration_does_not_wait_for_torchs_compiler() -> None:
+    """Its import costs every worker of a clip a second and 70 MB."""
+    program = (
+        "import sys\n"
+        "from tests.initialization.test_registration import BODY, CAMERA, landmarks_of, register, truth\n"
+        "register(*landmarks_of(truth('standing', 0.0, (0.0, 0.2, 4.0))), CAMERA, BODY, iterations=2)\n"
+        "print(sorted({'sympy', 'torch._dynamo'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    assert done.stdout == "[]\n", done.stderr

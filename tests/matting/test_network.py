@@ -50,6 +50,13 @@ def test_better_than_the_projection_on_jointed_figures() -> None:
     assert np.min(mine) > 0.6
 
 
+def test_a_matte_that_a_fit_refines_is_nearly_the_whole_search() -> None:
+    scene = composite(generated_plate("clouds"), 16, 11)
+    quick, whole = (make_matting(MattingConfig(), quick=quick)(scene.frame, scene.plate) for quick in (True, False))
+    assert not np.array_equal(quick, whole)
+    assert soft_iou(quick, whole) > 0.85
+
+
 def test_better_than_the_projection_on_the_example(tmp_path: Path) -> None:
     mine, theirs = [], []
     for seed in range(3):

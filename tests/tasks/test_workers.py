@@ -10,8 +10,10 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hfb.matting.network import NetworkMatting
 from hfb.tasks.workers.engine import Stopped
 from hfb.tasks.workers.workers import WorkerLost, busy_share, measure_utilisation, run_local, stop_computing, workers
 
@@ -98,6 +100,47 @@ def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:
         assert share is not None
         # it was busy no less than it napped and no longer than the answer took, on however slow a machine
         assert napped / (ended - began) - 1e-4 <= share <= (answered - entered) / (left - entered) + 1e-4
+
+
+def test_another_kind_of_work_begins_without_the_memory_of_the_last() -> None:
+    """Small pieces below one that stays: the C library keeps them for the process's own use."""
+    with workers(1, apart=True):
+        run_local(leave_free_memory)
+        assert run_local(resident_mb) < run_local(leave_free_memory) - 100
+
+
+def test_a_worker_does_not_grow_with_the_sizes_of_crops(monkeypatch: pytest.MonkeyPatch) -> None:
+    grown = {}
+    for kept in (None, "1024"):
+        if kept:
+            monkeypatch.setenv("ONEDNN_PRIMITIVE_CACHE_CAPACITY", kept)
+        with workers(1, apart=True):
+            run_local(look_at_sizes, 200, 204)
+            grown[kept] = run_local(look_at_sizes, 204, 254)
+    assert grown[None] < grown["1024"] - 10
+
+
+def look_at_sizes(least_px: int, most_px: int) -> float:
+    """Return by how much this process grew [MB]."""
+    matting, before = NetworkMatting(), resident_mb()
+    for height in range(least_px, most_px):
+        frame = np.full((height, 300 - height // 2, 3), 0.5, np.float32)
+        matting.look(frame, frame)
+    return resident_mb() - before
+
+
+def leave_free_memory() -> float:
+    pieces = [bytes(10_000) for _ in range(30_000)]
+    _held.append(pieces[-1])
+    del pieces
+    return resident_mb()
+
+
+def resident_mb() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE") / 2**20
+
+
+_held: list[bytes] = []
 
 
 def nap(seconds: float) -> float:

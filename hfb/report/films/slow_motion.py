@@ -202,9 +202,14 @@ def _closed(keys: MotionKeys, row: int) -> str:
 def _over_time_line(
     motion: SampledMotion, cells: list[Float[Array, "Y x 3"]], time_s: float, slow: float | None = None
 ) -> Float[Array, "Y2 X2 3"]:
-    """Lay panels side by side over the time line."""
-    picture = np.concatenate(cells, 1)
-    return _filled_up(np.concatenate([picture, draw_time_line(motion, time_s, picture.shape[1], slow)]))
+    """Lay panels side by side over the time line, on white with even sides, which H.264 needs."""
+    high, width = cells[0].shape[0], sum(cell.shape[1] for cell in cells)
+    line = draw_time_line(motion, time_s, width, slow)
+    height = high + len(line)
+    picture = np.ones((height + height % 2, width + width % 2, 3), np.float32)
+    np.concatenate(cells, 1, out=picture[:high, :width])
+    picture[high:height, :width] = line
+    return picture
 
 
 def _opened(motion: SampledMotion) -> Float[Array, "T"]:
@@ -212,10 +217,11 @@ def _opened(motion: SampledMotion) -> Float[Array, "T"]:
     return motion.times_s[np.flatnonzero(np.diff(motion.frame_index, prepend=-1))]
 
 
-def _filled_up(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y2 X2 3"]:
-    """Pad an image with white to even sides, which H.264 needs."""
-    pads = (*((0, side % 2) for side in picture.shape[:2]), (0, 0))
-    return np.pad(picture, pads, constant_values=1.0)
+def _covered(body: Float[Array, "H W 4"]) -> tuple[slice, slice]:
+    """Return the rows and columns of the box that a rendered body covers."""
+    covered = body[..., 3] > 0
+    rows, columns = np.flatnonzero(covered.any(1)), np.flatnonzero(covered.any(0))
+    return np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if rows.size else np.s_[:0, :0]
 
 
 class _View:
@@ -238,6 +244,7 @@ class _View:
         self._size = max(8, round(width * scale)), max(8, round(height * scale))
         self._camera = shot.camera.resize(self._size[1], self._size[0])
         self._plate = self._resized(shot.plate_linear)
+        self._plate_srgb = self._srgb(self._plate)
         self._shaped = shot.body.shape(torch.from_numpy(shot.motion.betas).to(shot.body.template.dtype))
         self._numbers = shot.motion.frame_index[np.flatnonzero(np.diff(shot.motion.frame_index, prepend=-1))]
         self._opened = _opened(shot.motion)
@@ -277,7 +284,7 @@ class _View:
         shot = self._shot
         with torch.no_grad():
             body = shot.rasterizer.render(self._posed(keys, row).vertices, shot.texture, self._camera, shot.body.mesh)
-        return self._srgb(compose(body[0], self._plate))
+        return self._over_plate(body[0])
 
     def with_clay(self, frame: int, keys: MotionKeys, row: int) -> Float[Array, "H W 3"]:
         """Return the shaded body over the blurred frame; its colour encodes the time within the exposure.
@@ -293,7 +300,10 @@ class _View:
         colour = time_colours(len(rows))[nearest : nearest + 1]
         vertices = self._posed(keys, row).vertices
         clay = shade_bodies(vertices, colour, self._camera, shot.body.mesh, shot.rasterizer)[0].numpy()
-        return np.clip(_BODY_OPACITY * clay[..., :3] + (1 - _BODY_OPACITY * clay[..., 3:]) * seen, 0, 1)
+        image, box = seen.copy(), _covered(clay)
+        over = _BODY_OPACITY * clay[box][..., :3] + (1 - _BODY_OPACITY * clay[box][..., 3:]) * seen[box]
+        image[box] = np.clip(over, 0, 1)
+        return image
 
     def _posed(self, keys: MotionKeys, row: int) -> PosedBody:
         dtype = self._shaped.vertices.dtype
@@ -307,7 +317,13 @@ class _View:
         with torch.no_grad():
             seen = see_by_rows(vertices, self._camera)
             mean = shot.rasterizer.render_mean(seen, shot.texture, self._camera, shot.body.mesh)
-        return self._srgb(compose(mean, self._plate))
+        return self._over_plate(mean)
+
+    def _over_plate(self, body: Float[Tensor, "H W 4"]) -> Float[Array, "H W 3"]:
+        """Compose a body over the plate; sRGB in [0, 1]. Most of the image is the plate's."""
+        image, box = self._plate_srgb.copy(), _covered(body.numpy())
+        image[box] = self._srgb(compose(body[box], self._plate[box]))
+        return image
 
     def _kept(self, kind: str, frame: int, make: Callable[[], Float[Array, "H W 3"]]) -> Float[Array, "H W 3"]:
         if kind not in self._held or self._held[kind][0] != frame:

@@ -91,7 +91,8 @@ def lay_out(rows: Sequence[StripRow]) -> Float[Array, "Y X 3"]:
         name = "input" if len(rows) == 1 else f"input {number}"
         captions = [name, "matte", *row.labels, "re-blurred", f"residual x{_RESIDUAL_GAIN:.0f}", "from the side"]
         lines.append(np.concatenate([captioned(*pair) for pair in zip(cells, captions, strict=True)], 1))
-    return np.concatenate(lines, 0).clip(0, 1)
+    picture = np.concatenate(lines, 0)
+    return picture.clip(0, 1, out=picture)
 
 
 def captioned(picture: Float[Array, "H W 3"], caption: str) -> Float[Array, "Y X 3"]:

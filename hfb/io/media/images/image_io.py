@@ -108,7 +108,9 @@ def _write_levels(path: Path, values: Float[Array, "..."], bits: int) -> None:
     if bits not in (8, 16):
         raise ValueError(f"a PNG holds 8 or 16 bits per channel, not {bits}")
     full = (1 << bits) - 1
-    levels = np.round(np.clip(values, 0, 1).astype(np.float64) * full)
+    levels = np.clip(values, 0, 1, dtype=np.float64)
+    levels *= full  # in place: a clip's strip takes 85 MB a copy
+    np.round(levels, out=levels)
     done, encoded = cv2.imencode(".png", np.ascontiguousarray(levels, np.uint8 if bits == 8 else np.uint16))
     if not done:
         raise OSError(f"{path}: the picture could not be encoded")

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import TracebackType
 
 import av
+import cv2
 import numpy as np
 
 from hfb.io.atomic import temporary_beside
@@ -62,7 +63,7 @@ class VideoWriter:
             time_s: time at which it is shown, to a microsecond, later than the one before; where the video has no rate.
         """
         assert (time_s is None) == (self._fps is not None), "a picture has a time where the video has no rate"
-        levels = np.round(np.clip(picture_srgb, 0, 1) * 255).astype(np.uint8)
+        levels = cv2.convertScaleAbs(np.clip(picture_srgb, 0, 1), alpha=255)  # rounded, in one pass
         self._wait()
         self._encoded = self._encoder.submit(self._encode, levels, time_s)
 
