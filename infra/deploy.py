@@ -67,7 +67,7 @@ def main() -> None:
         _limit_gpus(client, os.environ["HFB_POOL"], int(os.environ.get("HFB_GPUS", "1")))
         end_dead_runs(client, int(os.environ[_BEAT]))
         tell_of_crashes(client, told)
-    prefect = [sys.executable, "-m", "prefect", "--no-prompt"]
+    prefect = [sys.executable, "-P", "-m", "prefect", "--no-prompt"]
     subprocess.run([*prefect, "deploy", "--prefect-file", str(_FILE), "--all"], check=True)
     if os.environ.get("MLFLOW_S3_ENDPOINT_URL"):
         _make_bucket(os.environ["MLFLOW_S3_ENDPOINT_URL"])

@@ -169,7 +169,7 @@ class Job:
             (self.folder / name).unlink(missing_ok=True)  # a link, too, which is not to be written through
         with (self.folder / _LOG).open("xb") as log, (self.folder / _ANSWER).open("xb") as answer:
             process = subprocess.Popen(
-                [sys.executable, "-m", "hfb.flows.cli.job", str(self.folder), command, *base, *words],
+                [sys.executable, "-P", "-m", "hfb.flows.cli.job", str(self.folder), command, *base, *words],
                 stdin=subprocess.PIPE,  # its end, also by a kill of this process, ends the command
                 stdout=answer,
                 stderr=log,

@@ -192,7 +192,7 @@ def _npm_of_pypi(folder: Path, say: Say) -> tuple[str, ...]:
 
 def _pip(action: str) -> list[str]:
     quiet = ("--quiet", "--disable-pip-version-check", "--no-input")
-    return [sys.executable, "-m", "pip", action, *quiet]
+    return [sys.executable, "-P", "-m", "pip", action, *quiet]
 
 
 def _run(tool: str, command: Sequence[str], wanted: Path, advice: str = "", cwd: Path | None = None) -> None:

@@ -140,7 +140,7 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
     if on_server(uri):
         raise InputError(f"runs are recorded on a server that has pages of its own: open {shown_address(uri)}")
     check_store(uri)
-    server = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri]
+    server = [sys.executable, "-P", "-m", "mlflow", "server", "--backend-store-uri", uri]
     address = ["--host", "127.0.0.1", "--port", str(port)]
     return [*server, *address, "--workers", "1", "--uvicorn-opts", "--log-level warning"]
 

@@ -52,6 +52,8 @@ _MAY = {
     ("hfb/networks/runtimes.py", "torch.jit.load"),
     # a method is a function in a file that the user names on the command line; a deployment takes it from HFB_ALLOWED
     ("hfb/evaluation/baselines/own_function.py", "runpy.run_path"),
+    # its folder is the root of the file system
+    ("flows/cli/start.py", "sys.executable"),
     # our own arrays of numbers, mapped and not read, on the machine of whoever trains
     ("hfb/training/joints/joint_batches.py", "np.load"),
     ("hfb/training/matting/matte_measures.py", "np.load"),
@@ -81,6 +83,10 @@ def dangers(code: str) -> Iterator[str]:
             yield from (f"import {one}" for one in named if one.partition(".")[0] in _NEVER_IMPORTED)
         if isinstance(node, ast.Attribute) and name_of(node) in _RUNS_A_FILE:
             yield name_of(node)
+        if isinstance(node, ast.List) and node.elts and name_of(node.elts[0]) == "sys.executable":
+            option = node.elts[1] if len(node.elts) > 1 else None
+            if not (isinstance(option, ast.Constant) and option.value == "-P"):
+                yield "sys.executable"  # it would import what lies in the folder
         if not isinstance(node, ast.Call):
             continue
         name = name_of(node.func)
@@ -114,6 +120,7 @@ def test_nothing_runs_a_file() -> None:
         "subprocess.run(words, shell=True)",
         "np.savez(p, allow_pickle=True)",
         "os.system(line)",
+        "subprocess.run([sys.executable, '-m', 'pip'])",
     ],
 )
 def test_it_would_be_seen(code: str) -> None:
@@ -121,5 +128,6 @@ def test_it_would_be_seen(code: str) -> None:
 
 
 def test_what_is_safe_is_left_alone() -> None:
-    safe = "torch.load(p, weights_only=True)\nnp.load(p, allow_pickle=False)\nnetwork.eval()\nnp.savez(p, a=a)"
+    safe = "torch.load(p, weights_only=True)\nnp.load(p, allow_pickle=False)\nnetwork.eval()\nnp.savez(p, a=a)\n"
+    safe += "subprocess.run([sys.executable, '-P', '-m', 'pip'])"
     assert not list(dangers(safe))

@@ -15,7 +15,7 @@ from hfb.config import InitConfig
 from hfb.errors import InputError
 from hfb.networks import fetch as fetching
 from hfb.networks import mediapipe_files as networks
-from hfb.networks.fetch import NetworkArchive, fetch_networks
+from hfb.networks.fetch import NetworkArchive, _pip, fetch_networks
 from hfb.networks.mediapipe_files import NetworkFile, list_networks, network_path, networks_in_use
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.inputs.given_networks import check_networks
@@ -232,3 +232,10 @@ def _unreachable(*_: object) -> tuple[str, ...]:
 
 def _no_network(*_: object, **__: object) -> None:
     raise AssertionError("the network was used")
+
+
+def test_pip_is_the_installed_one_whatever_lies_in_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "pip.py").write_text("open('imported', 'w')")
+    command = _pip("list")
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=120, check=False).returncode == 0
+    assert not (tmp_path / "imported").exists()

@@ -105,7 +105,12 @@ def write_opensim(folder: Path, motion: SampledMotion) -> None:
         tool.upd_IKTaskSet().cloneAndAppend(task)
     tool.printToXML(str(folder / SETUP))
     done = subprocess.run(
-        [sys.executable, "-c", _RUN], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-c", _RUN],  # -P: nothing of the folder, which may be somebody else's
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode or not (folder / MOTION).is_file():
         words = (done.stderr.strip().splitlines() or ["no word why"])[-1]
