@@ -86,7 +86,7 @@ def register(
     lifted: LiftedPoints,
     camera: PinholeCamera,
     body: Body,
-    iterations: int = 150,
+    iterations: int = 80,
     source: str = "mediapipe",
 ) -> FirstBody:
     """Lay the body onto the landmarks.
