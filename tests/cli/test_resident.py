@@ -25,6 +25,9 @@ from tests.orchestration import TINY_OPTIONS, Problem, tiny_problem
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="there is none elsewhere")
 MISTAKE = ("fit", "none.png", "--background", "none.png")
 
+LASTING, LONG = (("--fit.stages", f'[{{"size_px": 32, "iterations": {count}}}]') for count in (1_000, 100_000))
+"""A fit that some seconds of a busy machine do not see end, and one that minutes do not."""
+
 
 @dataclass
 class Place:
@@ -148,7 +151,7 @@ def test_mistakes_are_told_as_without_it(place: Place) -> None:
 
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "TERM"])
 def test_signals_reach_the_command(sent: int, code: int, place: Place) -> None:
-    with place.start(*place.fit(f"signal-{code}")) as command:
+    with place.start(*place.fit(f"signal-{code}", *LONG)) as command:
         shown = ""
         for line in command.stderr or ():
             shown += line
@@ -161,7 +164,7 @@ def test_signals_reach_the_command(sent: int, code: int, place: Place) -> None:
 
 def test_a_killed_or_hung_up_client_ends_its_command(place: Place) -> None:
     for sent in (signal.SIGKILL, signal.SIGHUP):
-        with place.start(*place.fit(f"gone-{sent}")) as command:
+        with place.start(*place.fit(f"gone-{sent}", *LONG)) as command:
             for line in command.stderr or ():
                 if line.startswith("matte: "):
                     process = child_of(place.found())
@@ -196,7 +199,7 @@ def test_ctrl_z_stops_a_command_and_fg_goes_on_with_it(place: Place) -> None:
         os.write(terminal, line.encode())
 
     threading.Thread(target=read, daemon=True).start()
-    type_in(shlex.join([sys.executable, "-m", "hfb.flows.cli.start", *place.fit("stopped")]) + "\n")
+    type_in(shlex.join([sys.executable, "-m", "hfb.flows.cli.start", *place.fit("stopped", *LASTING)]) + "\n")
     wait(lambda: b"matte: " in shown or b"first body" in shown)
     command = child_of(place.found())
     type_in("\x1a")
