@@ -7,7 +7,6 @@ hfb's body are, and how sure that is. It learned from rendered people before pho
 al., A simple yet effective baseline for 3d human pose estimation, ICCV 2017, with a first guess as further input.
 """
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -40,9 +39,6 @@ HIPS = [POINTS.index("left_hip"), POINTS.index("right_hip")]
 _SHOULDERS = [POINTS.index("left_shoulder"), POINTS.index("right_shoulder")]
 SWAPPED = [POINTS.index(name.replace("left", "-").replace("right", "left").replace("-", "right")) for name in POINTS]
 _LEAST_DISTANCE_M, _MOST_DISTANCE_M = 0.3, 50.0
-_TOO_FAR_FORWARD = math.tan(math.radians(5.0))
-"""How far the network leans real people towards the camera, from feet to head: most of its rendered people are seen
-from above. Left out one at a time, three people before four cameras say 5.5 to 8 degrees; less is safer."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +183,6 @@ def lift_landmarks(landmarks: Landmarks, camera: PinholeCamera) -> LiftedPoints:
         points, log_scale = network(seen)
         reflected, _ = network(seen.mirrored())
         points = (points + reflected[:, SWAPPED] * points.new_tensor([-1.0, 1.0, 1.0])) / 2
-        points = _leaned_back(points, seen)
     # inference tensors must not enter a graph
     return LiftedPoints(points[0].clone(), log_scale[0].exp().clone(), seen.distance_m[0])
 
@@ -223,13 +218,6 @@ def _upright(across: Float[Tensor, "N 19 2"]) -> Float[Tensor, "N 2 2"]:
     angle = torch.atan2(x, -y)
     cosine, sine = angle.cos(), angle.sin()
     return torch.stack([torch.stack([cosine, sine], -1), torch.stack([-sine, cosine], -1)], -2)
-
-
-def _leaned_back(points: Float[Tensor, "N 19 3"], seen: Sighting) -> Float[Tensor, "N 19 3"]:
-    """Move points away in depth the higher they are on the body, wherever its trunk points in the image."""
-    down = _upright(seen.across)[:, None, 1]
-    height = -(points[..., :2] * down).sum(-1, keepdim=True)
-    return torch.cat([points[..., :2], points[..., 2:] + _TOO_FAR_FORWARD * height], -1)
 
 
 def _spread(points: Float[Tensor, "N L c"]) -> Float[Tensor, "N"]:

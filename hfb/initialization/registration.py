@@ -86,7 +86,7 @@ def register(
     lifted: LiftedPoints,
     camera: PinholeCamera,
     body: Body,
-    iterations: int = 80,
+    iterations: int = 150,
     source: str = "mediapipe",
 ) -> FirstBody:
     """Lay the body onto the landmarks.

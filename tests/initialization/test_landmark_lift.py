@@ -3,7 +3,6 @@
 import dataclasses
 import hashlib
 import json
-import math
 from importlib import resources
 from pathlib import Path
 
@@ -15,15 +14,13 @@ from hfb.body.assets import load_default_body
 from hfb.flows.cli.cli import main
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from hfb.initialization import landmark_lift
-from hfb.initialization.landmark_lift import HIPS, POINTS, lift_landmarks, shipped_landmark_lift
+from hfb.initialization.landmark_lift import POINTS, lift_landmarks, shipped_landmark_lift
 from hfb.initialization.landmarks import LANDMARK, LANDMARKS, Landmarks, Region
 from hfb.initialization.pose_bank import bank_rotations
 from hfb.initialization.registration import attach_landmarks, follow_chain
 from hfb.motion.motion_file import write_arrays
 from hfb.training.landmarks.landmark_training import Lessons
 
-SHOULDERS = [POINTS.index("left_shoulder"), POINTS.index("right_shoulder")]
 CAMERA = PinholeCamera(900.0, 900.0, 320.0, 240.0, 640, 480)
 
 
@@ -65,17 +62,6 @@ def test_a_camera_that_rolls_turns_the_points(angle: float) -> None:
     points, turned = (lift_landmarks(one, CAMERA).points.double().numpy() for one in (seen, rolled))
     np.testing.assert_allclose(turned[:, :2], points[:, :2] @ turn.T, atol=1e-5)
     np.testing.assert_allclose(turned[:, 2], points[:, 2], atol=1e-5)
-
-
-def test_a_body_leans_back_by_five_degrees_more_than_the_network_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    points = lift_landmarks(person(), CAMERA).points
-    monkeypatch.setattr(landmark_lift, "_TOO_FAR_FORWARD", 0.0)
-    as_said = lift_landmarks(person(), CAMERA).points
-    torch.testing.assert_close(points[:, :2], as_said[:, :2], atol=0, rtol=0)
-    trunk = as_said[SHOULDERS].mean(0) - as_said[HIPS].mean(0)
-    moved = points[SHOULDERS].mean(0) - points[HIPS].mean(0) - trunk
-    reach = float(trunk[:2].norm())
-    assert float(moved[2]) == pytest.approx(reach * math.tan(math.radians(5)), rel=0.02)
 
 
 def test_the_size_of_the_image_does_not_matter() -> None:
