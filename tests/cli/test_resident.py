@@ -50,7 +50,7 @@ class Place:
             text=True,
             cwd=self.folder / "problem",
             env=self.environment(**environment),
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            preexec_fn=lambda: [signal.signal(sent, signal.SIG_DFL) for sent in (signal.SIGINT, signal.SIGHUP)],
         )
 
     def run(self, *words: str, **environment: str) -> tuple[int, str, str]:
