@@ -42,16 +42,16 @@ class InitialEvidence:
 
     Attributes:
         observation: the window around the mattes, at full size, with the initial mattes.
+        matting_px: longer side [px] at which mattes are predicted again, at most.
         joints: the joint network's prediction; None where no term uses it.
         corrected: whether the prediction is corrected between stages. What corrects it learned from starts with
             simulated errors: from a pose network's start, fits of real images are better without.
-        matting_px: longer side [px] at which mattes are predicted again, at most.
     """
 
     observation: Observation
+    matting_px: int
     joints: JointEvidence | None = None
     corrected: bool = True
-    matting_px: int = 288
 
     @cached_property
     def mattings(self) -> tuple[RenderConditionedMatting, ...]:
@@ -82,9 +82,9 @@ def predict_initial_evidence(
     needed = config.settle > 0 or weights.joints + weights.path + weights.height > 0
     return InitialEvidence(
         window,
+        round(_MATTING_SIZE * max((stage.size_px for stage in config.stages), default=0)),
         predict_joint_evidence(observation, first_bodies, body) if needed else None,
         corrected="network" not in {start_kind(one.source) for one in first_bodies},
-        matting_px=round(_MATTING_SIZE * max((stage.size_px for stage in config.stages), default=0)),
     )
 
 

@@ -178,7 +178,7 @@ def test_a_matte_is_found_again_beside_the_fit(light: Literal["linear", "srgb"])
         aside = torch.cat([over, aside[..., 3:]], -1)
         frame, plate = linear_to_srgb(seen.frames_linear), linear_to_srgb(plate)
         seen = replace(seen, frames_linear=frame, plate_linear=plate, light=light)
-    before = InitialEvidence(replace(seen, mattes=first[None]))
+    before = InitialEvidence(replace(seen, mattes=first[None]), matting_px=288)
     again = refine_mattes(aside, before)
     off = [float((one - alpha).abs().sum() / alpha.sum()) for one in (again.mattes[0], first, aside[0, ..., 3])]
     assert off[0] < 0.7 * min(off[1:]), off
