@@ -69,7 +69,7 @@ class FloorShadeMatting:
         rest = np.zeros_like(matte)
         rest[inner] = alone
         self._networks = self._networks or self._load()
-        found = find_landmarks(self._networks, linear_to_srgb(frame).astype(np.float32), rest)
+        found = find_landmarks(self._networks, frame, plate, rest)
         if found is None or found[1] < max(_LEAST_AGREEMENT, stick_agreement(found[0].pixels, matte)):
             return matte
         deep = shade_likelihood(*images, _DARKEST)

@@ -24,7 +24,6 @@ from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level
 from hfb.initialization.swept_search import carried_along, search_swept
 from hfb.motion.static_pose import FirstBody
 from hfb.networks.mediapipe_files import LandmarkChoice
-from hfb.photometry import linear_to_srgb
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.rasterizer import Rasterizer
 from hfb.typing import Array, Float, Tensor
@@ -42,7 +41,7 @@ _REFINEMENT = (SilhouetteStage(64, 40, 0.02, shape=False), SilhouetteStage(_COMP
 _ABOUT_AS_GOOD = 0.03  # a smear hardly determines a pose: the one found at rest is nearer to the truth
 _SAME_DISTANCE = 0.05  # but a smear determines the distance, and a body found at rest is mostly too near
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
-_STAY_BY_LANDMARKS = Stay(pose=0.15, root=3.0, place=0.5)  # no outline shows how far a body leans in depth
+_STAY_BY_LANDMARKS = Stay(pose=1.5, root=10.0, place=0.5)  # no outline shows how far a body leans in depth
 
 
 @runtime_checkable
@@ -122,21 +121,24 @@ class LandmarkInitializer:
     ) -> FirstBody:
         """See `Initializer`."""
         alpha = _checked(matte)
-        found = self.landmarks(frame_linear, alpha)
+        found = self.landmarks(frame_linear, plate_linear, alpha)
         if found is None:
             raise InputError(
                 "the pose networks found no person in the frame; use `--init.method matte`, or a frame with less blur."
             )
         return self.body(found[0], alpha, camera, body)
 
-    def landmarks(self, frame_linear: Picture, matte: Float[Array, "H W"]) -> tuple[Landmarks, float] | None:
+    def landmarks(
+        self, frame_linear: Picture, plate_linear: Picture, matte: Float[Array, "H W"]
+    ) -> tuple[Landmarks, float] | None:
         """Return the person's landmarks and their agreement with the matte.
 
         Args:
             frame_linear: the frame.
+            plate_linear: background plate, linear light.
             matte: the person's share of each pixel.
         """
-        return find_landmarks(self._networks, _srgb(frame_linear), matte)
+        return find_landmarks(self._networks, _array(frame_linear), _array(plate_linear), matte)
 
     def body(self, landmarks: Landmarks, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body) -> FirstBody:
         """Register, then refine, which is kept only where it shares more with the matte; then lessen the lean.
@@ -171,7 +173,7 @@ class KeypointInitializer:
     ) -> FirstBody:
         """See `Initializer`."""
         alpha = _checked(matte)
-        joints = keypoints_as_24(self._network.find(_srgb(frame_linear), alpha))
+        joints = keypoints_as_24(self._network.find(_array(frame_linear), _array(plate_linear), alpha))
         found = register_keypoints(joints[None], camera, body)
         first = FirstBody(found.poses[0], found.translations[0], found.betas, "keypoints")
         return _nearer_to_matte(first, alpha, camera, body, self._rasterizer)
@@ -194,7 +196,7 @@ class AutoInitializer:
     ) -> FirstBody:
         """See `Initializer`."""
         alpha = _checked(matte)
-        found = self._by_landmarks.landmarks(frame_linear, alpha) if self._by_landmarks else None
+        found = self._by_landmarks.landmarks(frame_linear, plate_linear, alpha) if self._by_landmarks else None
         if self._by_landmarks is None or found is None or found[1] < _CONFIDENT_AGREEMENT:
             return _searched(alpha, camera, body, self._rasterizer)[0]
         first = self._by_landmarks.body(found[0], alpha, camera, body)
@@ -242,8 +244,8 @@ def _nearer_to_matte(
     return less_lean(max((closer, first), key=lambda one: overlap(one, level, body, rasterizer)), body)
 
 
-def _srgb(frame_linear: Picture) -> Float[Array, "H W 3"]:
-    return linear_to_srgb(np.clip(np.asarray(frame_linear, np.float32), 0, 1)).astype(np.float32)
+def _array(picture: Picture) -> Float[Array, "H W 3"]:
+    return np.asarray(picture, np.float32)
 
 
 def _checked(matte: Matte) -> Float[Array, "H W"]:

@@ -16,7 +16,7 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.initialization.joint_layouts import COCO_17, MORE_THAN_COCO
 from hfb.initialization.landmarks import LANDMARKS, Region, cut_region
-from hfb.initialization.person_landmarks import on_gray, stick_agreement
+from hfb.initialization.person_landmarks import GRAYS, before_gray, stick_agreement
 from hfb.matting.matting_protocol import matte_region
 from hfb.networks.network_files import is_onnx
 from hfb.networks.runtimes import OnnxNetwork, Outputs, normalised
@@ -60,14 +60,17 @@ class KeypointNetwork:
         self._height, self._width = sides
         self._look(np.zeros((*sides, 3), np.float32))
 
-    def find(self, frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]) -> Float[Array, "K 3"]:
+    def find(
+        self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], matte: Float[Array, "H W"]
+    ) -> Float[Array, "K 3"]:
         """Return x, y [px] and confidence of the person's keypoints.
 
-        Blur misleads such networks, and so does what stands behind a person: the frame and the person alone are looked
-        at, and the figure that agrees better with the matte is kept.
+        Blur misleads such networks, and so does what stands behind a person: the person is looked at before walls of
+        two grays, and the figure that agrees better with the matte is kept.
 
         Args:
-            frame_srgb: the blurred frame.
+            frame_linear: the blurred frame, linear light.
+            plate_linear: the background plate, linear light in the frame's exposure.
             matte: the person's share of each pixel, not empty.
         """
         top, left, bottom, right = matte_region(matte, margin=0.0)
@@ -76,8 +79,8 @@ class KeypointNetwork:
         square = Region((left + right) / 2, (top + bottom) / 2, step * side, 0.0)
         rows, columns = ((side - one) // 2 for one in (self._height, self._width))
         found = []
-        for picture in (frame_srgb, on_gray(frame_srgb, matte)):
-            crop = cut_region(picture, square, side)
+        for gray in GRAYS:
+            crop = cut_region(before_gray(frame_linear, plate_linear, matte, gray), square, side)
             points = self._look(crop[rows : rows + self._height, columns : columns + self._width])
             points[:, :2] = (points[:, :2] + (columns, rows) + 0.5 - side / 2) * step + (square.x, square.y)
             found.append(points)

@@ -1,12 +1,12 @@
 """Landmarks of the person in the matte: of many proposals the one that agrees best with it.
 
 Blur makes the detector miss and the second network invent limbs, whereas the matte shows where the person is. So
-regions come from the detector and from the matte itself, images are the frame and the person alone on gray, and every
-result is drawn as a stick figure and compared with the matte. The best one is averaged with what the network says of
-the mirror image: its errors of depth differ there.
+regions come from the detector and from the matte itself, the networks look at the person before a gray and a light
+wall in place of the plate, and every result is drawn as a stick figure and compared with the matte. The best one is
+averaged with what the network says of the mirror image: its errors of depth differ there.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import cv2
@@ -14,12 +14,15 @@ import numpy as np
 
 from hfb.initialization.landmarks import LANDMARK, Landmarks, PoseNetworks, Region
 from hfb.matting.matting_protocol import matte_region
+from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float, Shaped
 
-_GRAY = 0.5
+GRAYS = (0.21, 0.6)
+"""Walls before which a person is looked at, linear light: dark clothes show before one, pale ones before the other."""
 _STICK_FIGURE_PX = 128
 _LEAST_SCORE = 0.5
-_SURE_AGREEMENT = 0.55
+_SURE_AGREEMENT, _GOOD_AGREEMENT, _REGIONS = 0.65, 0.55, 4
+"""Other regions are tried until the figure is sure, or, after so many of them, good."""
 _SAME_PLACE = 0.5
 """Of the trunk's length: where a point's places in the image and its mirror image are farther apart, one is another
 limb's."""
@@ -43,20 +46,25 @@ _LIMBS = (
 
 
 def find_landmarks(
-    networks: PoseNetworks, frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]
+    networks: PoseNetworks,
+    frame_linear: Float[Array, "H W 3"],
+    plate_linear: Float[Array, "H W 3"],
+    matte: Float[Array, "H W"],
 ) -> tuple[Landmarks, float] | None:
     """Return the best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
 
     Args:
         networks: loaded pose networks.
-        frame_srgb: the blurred frame.
+        frame_linear: the blurred frame, linear light.
+        plate_linear: the background plate, linear light in the frame's exposure.
         matte: the person's share of each pixel, not empty.
     """
-    alone = on_gray(frame_srgb, matte)
+    pictures = [before_gray(frame_linear, plate_linear, matte, gray) for gray in GRAYS]
     best: tuple[Landmarks, float] | None = None
-    best_value, of_picture = 0.0, alone
-    for region in _proposals(networks, frame_srgb, alone, matte):
-        for picture in (frame_srgb, alone):
+    best_value, of_picture = 0.0, pictures[0]
+    frame_srgb = linear_to_srgb(np.clip(frame_linear, 0, 1)).astype(np.float32)
+    for number, region in enumerate(_proposals(networks, (frame_srgb, pictures[0]), matte), start=1):
+        for picture in pictures:
             found = networks.locate(picture, region)
             if found.score < _LEAST_SCORE:
                 continue
@@ -66,7 +74,7 @@ def find_landmarks(
             value = agreement * (0.5 + 0.5 * found.score)
             if value > best_value:
                 best, best_value, of_picture = (found, agreement), value, picture
-        if best is not None and best[1] > _SURE_AGREEMENT:
+        if best is not None and best[1] > (_SURE_AGREEMENT if number < _REGIONS else _GOOD_AGREEMENT):
             break
     if best is None:
         return None
@@ -101,13 +109,13 @@ def seen_both_ways(networks: PoseNetworks, picture: Float[Array, "H W 3"], found
 
 
 def _proposals(
-    networks: PoseNetworks, frame: Float[Array, "H W 3"], alone: Float[Array, "H W 3"], matte: Float[Array, "H W"]
+    networks: PoseNetworks, pictures: Sequence[Float[Array, "H W 3"]], matte: Float[Array, "H W"]
 ) -> Iterator[Region]:
     """Yield regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
     top, left, bottom, right = matte_region(matte, margin=0.3)
     window = (slice(top, bottom), slice(left, right))
-    for picture in (frame[window], alone[window]):
-        for region in networks.detect(picture):
+    for picture in pictures:
+        for region in networks.detect(picture[window]):
             moved = Region(region.x + left, region.y + top, region.size, region.angle, region.score)
             if _near(moved, matte):
                 yield moved
@@ -134,15 +142,24 @@ def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
     return bool(middle.size and middle.max() > 0.2)
 
 
-def on_gray(frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]) -> Float[Array, "H W 3"]:
-    """Return the person alone, before gray.
+def before_gray(
+    frame_linear: Float[Array, "H W 3"],
+    plate_linear: Float[Array, "H W 3"],
+    matte: Float[Array, "H W"],
+    gray: float,
+) -> Float[Array, "H W 3"]:
+    """Return the person before a gray wall, sRGB: eq. (1) with another plate.
+
+    The plate that shows through the blur goes, too, unlike in the product of frame and matte.
 
     Args:
-        frame_srgb: the blurred frame.
+        frame_linear: the blurred frame, linear light.
+        plate_linear: the background plate, linear light in the frame's exposure.
         matte: the person's share of each pixel.
+        gray: the wall, linear light.
     """
-    alpha = matte[..., None]
-    return frame_srgb * alpha + _GRAY * (1 - alpha)
+    rest = 1 - matte[..., None]
+    return linear_to_srgb(np.clip(frame_linear + rest * (gray - plate_linear), 0, 1)).astype(np.float32)
 
 
 def stick_agreement(pixels: Float[Array, "33 2"], matte: Float[Array, "H W"]) -> float:

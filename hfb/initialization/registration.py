@@ -1,7 +1,7 @@
 """Registration of the body to 33 landmarks: pose, translation and a little shape, in camera coordinates.
 
 The body's joints and a few surface points (nose, ears, heels, toes) are fitted to the landmarks: their pixels determine
-positions in the image, the lifted landmarks the depth, an anatomical prior the rest.
+positions in the image, the lifted landmarks the depth, priors the rest.
 """
 
 from dataclasses import dataclass
@@ -18,10 +18,13 @@ from hfb.initialization.landmarks import LANDMARK, Landmarks
 from hfb.initialization.torch_adam import Adam
 from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
+from hfb.priors.mixture import shipped_mixture
 from hfb.typing import Float, Int, Tensor
 
 _TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 _LEAST_DEPTH_M = 0.5
+_PRIOR = 0.1
+"""Weight of each prior: three times as much moves real starts by 1 mm, a third costs them 4."""
 _WIDER, _SPREAD_M = 1.3, (0.025, 0.3)
 """Standard deviation per Laplace scale of a lifted coordinate, and its range: rendered people are easier than real."""
 _ROBUST = 4.5
@@ -86,14 +89,14 @@ def register(
     lifted: LiftedPoints,
     camera: PinholeCamera,
     body: Body,
-    iterations: int = 150,
+    iterations: int = 100,
     source: str = "mediapipe",
 ) -> FirstBody:
     """Lay the body onto the landmarks.
 
     Minimises, over root and joint rotations, translation and betas (Adam, deterministic): robust reprojection in
-    units of the trunk, robust distance from the lifted points in units of their scale, the anatomical prior and
-    |betas|^2. In the image a landmark counts as much as the network is sure to see it.
+    units of the trunk, robust distance from the lifted points in units of their scale, the priors of anatomy and of
+    recorded poses, and |betas|^2. In the image a landmark counts as much as the network is sure to see it.
 
     Args:
         landmarks: landmarks of the person.
@@ -113,15 +116,16 @@ def register(
     # The optimised root turn is relative to the first guess: no wrap-around at pi, where upright people are.
     free_pose = torch.cat([torch.zeros(1, 3, dtype=dtype), natural_pose(dtype)])
     variables = [free.requires_grad_() for free in (free_pose, translation, betas)]
-    optimiser = Adam(list(zip(variables, (0.05, 0.02, 0.02), strict=True)), cosine=(iterations, 0.002))
-    prior = AnatomicalPrior()
+    optimiser = Adam(list(zip(variables, (0.15, 0.02, 0.02), strict=True)), cosine=(iterations, 0.002))
+    anatomy, recorded = AnatomicalPrior(), shipped_mixture()
     for _ in range(iterations):
         rotations = axis_angle_to_matrix(free_pose)
         rotations = torch.cat([(rotations[0] @ R_root)[None], rotations[1:]])
         rest = body.joint_template + body.joint_shape_directions @ betas
         points = attachments.positions(*follow_chain(rest, rotations, translation))
         loss = _misfit(points, camera, targets)
-        loss = loss + 0.03 * prior(free_pose[None, 1:])[0] + 2 * (betas * betas).sum()
+        pose = free_pose[None, 1:]
+        loss = loss + _PRIOR * (anatomy(pose)[0] + recorded(pose)[0]) + 2 * (betas * betas).sum()
         loss.backward()
         optimiser.step()
     with torch.no_grad():

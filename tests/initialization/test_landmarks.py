@@ -14,12 +14,12 @@ from hfb.geometry.camera import PinholeCamera
 from hfb.initialization import initializer, landmarks
 from hfb.initialization.initializer import make_initializer
 from hfb.initialization.landmarks import LANDMARK, Landmarks, PoseNetworks, Region, cut_region, networks_ready
-from hfb.initialization.person_landmarks import draw_stick_figure, find_landmarks, seen_both_ways
+from hfb.initialization.person_landmarks import before_gray, draw_stick_figure, find_landmarks, seen_both_ways
 from hfb.initialization.silhouette_fit import matte_level, overlap
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.matting.methods import make_matting
 from hfb.motion.static_pose import FirstBody
-from hfb.photometry import srgb_to_linear
+from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rendering.backends import make_rasterizer
 
@@ -49,6 +49,18 @@ def test_stick_figure_survives_absurd_points() -> None:
     points = np.random.default_rng(0).normal(0, 1e6, (33, 2))
     assert draw_stick_figure(points, (40, 30)).shape == (40, 30)
     assert draw_stick_figure(np.full((33, 2), 15.0), (40, 30)).sum() > 0
+
+
+def test_before_gray_is_another_plate_in_the_picture() -> None:
+    """Where the matte is right nothing of the plate is left; where it lacks the person, what differs from it stays."""
+    rng = np.random.default_rng(0)
+    person, plate = rng.uniform(0.1, 0.5, (2, 8, 9, 3)).astype(np.float32)
+    alpha = rng.uniform(0, 1, (8, 9)).astype(np.float32)
+    frame = alpha[..., None] * person + (1 - alpha[..., None]) * plate
+    expected = linear_to_srgb(alpha[..., None] * person + (1 - alpha[..., None]) * 0.6)
+    np.testing.assert_allclose(before_gray(frame, plate, alpha, 0.6), expected, atol=1e-5)
+    lacking = before_gray(frame, plate, np.zeros_like(alpha), 0.6)
+    np.testing.assert_allclose(lacking, linear_to_srgb(np.clip(0.6 + frame - plate, 0, 1)), atol=1e-5)
 
 
 def a_standing_person(seed: int) -> Landmarks:
@@ -124,7 +136,7 @@ def test_a_real_blurred_walk(shared_data: Path) -> None:
     frame_srgb = read_picture_srgb(folder / "f006.png")
     frame, plate = (srgb_to_linear(p).astype(np.float32) for p in (frame_srgb, read_picture_srgb(folder / "plate.png")))
     matte = make_matting(MattingConfig())(frame, plate)
-    found = find_landmarks(PoseNetworks(), frame_srgb, matte)
+    found = find_landmarks(PoseNetworks(), frame, plate, matte)
     assert found is not None
     at = found[0].pixels
     assert found[1] > 0.5
@@ -143,7 +155,7 @@ def test_an_empty_room_falls_back_to_the_matte(monkeypatch: pytest.MonkeyPatch) 
     room = np.random.default_rng(0).random((120, 160, 3)).astype(np.float32) * 0.1 + 0.4
     matte = np.zeros((120, 160), np.float32)
     matte[40:80, 60:90] = 1
-    found = find_landmarks(PoseNetworks(), room, matte)
+    found = find_landmarks(PoseNetworks(), room, room, matte)
     assert found is None or found[1] < 0.35
     searched = FirstBody(torch.zeros(24, 3), torch.zeros(3), torch.zeros(10), "matte")
     monkeypatch.setattr(initializer, "search_by_matte", lambda *_: (searched, 0.5))

@@ -10,7 +10,6 @@ from hfb.datasets.synthetic.viewpoints import View, draw_view
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.initialization.landmark_lift import world_in_camera
 from hfb.initialization.landmarks import Landmarks, PoseNetworks, Region
-from hfb.initialization.person_landmarks import on_gray
 from hfb.initialization.registration import attach_landmarks, follow_chain
 from hfb.motion.motion_file import write_arrays
 from hfb.photometry import linear_to_srgb
@@ -21,7 +20,7 @@ from hfb.training.joints.people import INSTANTS
 from hfb.training.schedule import Counter
 
 _SECONDS = (0.004, 0.25)
-_SHARP, _ALONE = 0.3, 0.35
+_SHARP, _ALONE, _GRAY = 0.3, 0.35, 0.5
 _ASLANT, _ELEVATION_DEG, _ROLL_DEG = 0.7, (-15.0, 40.0), 12.0
 _LEAST_SCORE = 0.5
 
@@ -63,7 +62,7 @@ class Sightings(Studio):
             return None
         frame = linear_to_srgb(as_file(picture, rng.uniform(0.002, 0.012), rng)).astype(np.float32)
         if rng.random() < _ALONE:
-            frame = on_gray(frame, alpha)
+            frame = frame * alpha[..., None] + _GRAY * (1 - alpha[..., None])
         found = self._located(frame, alpha, rng)
         if found is None:
             return None
