@@ -19,6 +19,8 @@ from hfb.typing import Array, Float, Shaped
 
 GRAYS = (0.21, 0.6)
 """Walls before which a person is looked at, linear light: dark clothes show before one, pale ones before the other."""
+_NEAR, _NOTHING = 0.2, 0.02
+"""Share of the matte's box beyond which nothing is the person's, and the alpha below which a matte is empty."""
 _STICK_FIGURE_PX = 128
 _LEAST_SCORE = 0.5
 _SURE_AGREEMENT, _GOOD_AGREEMENT, _REGIONS = 0.65, 0.55, 4
@@ -150,16 +152,25 @@ def before_gray(
 ) -> Float[Array, "H W 3"]:
     """Return the person before a gray wall, sRGB: eq. (1) with another plate.
 
-    The plate that shows through the blur goes, too, unlike in the product of frame and matte.
+    The plate that shows through the blur goes, too, unlike in the product of frame and matte. A limb that the matte
+    lacks stays where it differs from the plate; what is far from the matte is somebody else, and goes.
 
     Args:
         frame_linear: the blurred frame, linear light.
         plate_linear: the background plate, linear light in the frame's exposure.
-        matte: the person's share of each pixel.
+        matte: the person's share of each pixel, not empty.
         gray: the wall, linear light.
     """
-    rest = 1 - matte[..., None]
-    return linear_to_srgb(np.clip(frame_linear + rest * (gray - plate_linear), 0, 1)).astype(np.float32)
+    wall = linear_to_srgb(np.full(3, gray, np.float32))
+    picture = np.broadcast_to(wall, frame_linear.shape).copy()
+    top, left, bottom, right = matte_region(matte, margin=_NEAR)
+    inner = (slice(top, bottom), slice(left, right))
+    alpha, reach = matte[inner], _NEAR * max(bottom - top, right - left)
+    apart = cv2.distanceTransform((alpha < _NOTHING).astype(np.uint8), cv2.DIST_L2, 3)
+    near = np.clip(2 - 2 * apart / reach, 0, 1)[..., None]
+    seen = frame_linear[inner] + (1 - alpha[..., None]) * (gray - plate_linear[inner])
+    picture[inner] += near * (linear_to_srgb(np.clip(seen, 0, 1)) - picture[inner])
+    return picture
 
 
 def stick_agreement(pixels: Float[Array, "33 2"], matte: Float[Array, "H W"]) -> float:

@@ -52,15 +52,24 @@ def test_stick_figure_survives_absurd_points() -> None:
 
 
 def test_before_gray_is_another_plate_in_the_picture() -> None:
-    """Where the matte is right nothing of the plate is left; where it lacks the person, what differs from it stays."""
+    """Where the matte is right nothing of the plate is left, and what it lacks near the person stays.
+
+    Somebody else, far from the matte, is gone.
+    """
     rng = np.random.default_rng(0)
-    person, plate = rng.uniform(0.1, 0.5, (2, 8, 9, 3)).astype(np.float32)
-    alpha = rng.uniform(0, 1, (8, 9)).astype(np.float32)
+    person, plate = rng.uniform(0.1, 0.5, (2, 100, 90, 3)).astype(np.float32)
+    alpha = np.zeros((100, 90), np.float32)
+    alpha[20:80, 20:50] = rng.uniform(0.1, 1, (60, 30))
+    alpha[40:60, 80:] = 1
+    matte = alpha.copy()
+    matte[:, 46:] = 0
     frame = alpha[..., None] * person + (1 - alpha[..., None]) * plate
+    seen = before_gray(frame, plate, matte, 0.6)
     expected = linear_to_srgb(alpha[..., None] * person + (1 - alpha[..., None]) * 0.6)
-    np.testing.assert_allclose(before_gray(frame, plate, alpha, 0.6), expected, atol=1e-5)
-    lacking = before_gray(frame, plate, np.zeros_like(alpha), 0.6)
-    np.testing.assert_allclose(lacking, linear_to_srgb(np.clip(0.6 + frame - plate, 0, 1)), atol=1e-5)
+    np.testing.assert_allclose(seen[:, :46], expected[:, :46], atol=1e-5)
+    lacking = slice(20, 80), slice(46, 50)
+    np.testing.assert_allclose(seen[lacking], linear_to_srgb(np.clip(0.6 + frame - plate, 0, 1))[lacking], atol=1e-5)
+    np.testing.assert_allclose(seen[:, 80:], linear_to_srgb(np.full_like(seen[:, 80:], 0.6)), atol=1e-6)
 
 
 def a_standing_person(seed: int) -> Landmarks:
