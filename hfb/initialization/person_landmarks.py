@@ -64,8 +64,7 @@ def find_landmarks(
     pictures = [before_gray(frame_linear, plate_linear, matte, gray) for gray in GRAYS]
     best: tuple[Landmarks, float] | None = None
     best_value, of_picture = 0.0, pictures[0]
-    frame_srgb = linear_to_srgb(np.clip(frame_linear, 0, 1)).astype(np.float32)
-    for number, region in enumerate(_proposals(networks, (frame_srgb, pictures[0]), matte), start=1):
+    for number, region in enumerate(_proposals(networks, pictures, matte), start=1):
         for picture in pictures:
             found = networks.locate(picture, region)
             if found.score < _LEAST_SCORE:
