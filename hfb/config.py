@@ -321,6 +321,11 @@ class FitConfig(Record):
         description="how tall the person is, soles to crown [m], such as 1.78; no picture shows it, and every length "
         "hangs on it",
     )
+    keep_height: bool = Field(
+        False,
+        description="where no height is told, keep that of a first body that a pose network saw: clothed people look "
+        "stout, which a fit takes for short",
+    )
     keep_image_size: bool = Field(False, description="a change of shape keeps the size in the image; quaternions only")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")
     shape_rate: float = Field(3.0, gt=0, description="learning rate of the betas, times the stage's")
@@ -456,6 +461,7 @@ _BEST = FitConfig(
     xy_weight=0.2,
     compare=0.75,
     fuse_depth=True,
+    keep_height=True,
     keep_image_size=True,
     motion_shared=True,
     multi_frame=MultiFrame(image=33, height=3),

@@ -2,6 +2,8 @@
 
 from functools import lru_cache
 
+import torch
+
 from hfb.body.model import Body
 from hfb.typing import Float, Tensor
 
@@ -17,7 +19,7 @@ def height_m(body: Body, betas: Float[Tensor, "*n K"]) -> Float[Tensor, "*n"]:
     return mean + betas @ per_beta.to(betas)
 
 
-def as_tall(betas: Float[Tensor, "*n K"], body: Body, height: float) -> Float[Tensor, "*n K"]:
+def as_tall(betas: Float[Tensor, "*n K"], body: Body, height: float | Float[Tensor, "*n"]) -> Float[Tensor, "*n K"]:
     """Return the nearest shape of a given height: the likeliest, since betas have unit variance.
 
     Args:
@@ -25,9 +27,11 @@ def as_tall(betas: Float[Tensor, "*n K"], body: Body, height: float) -> Float[Te
         body: the body model.
         height: height from soles to crown [m].
     """
-    _, per_beta = height_line(body)
+    mean_m, per_beta = height_line(body)
     per_beta = per_beta.to(betas)
-    return betas + ((height - height_m(body, betas)) / per_beta.square().sum())[..., None] * per_beta
+    # Without the mean: single precision leaves .1 um of a height, which a small slope would make large.
+    missing_m = torch.as_tensor(height - mean_m).to(betas) - betas @ per_beta
+    return betas + (missing_m / per_beta.square().sum())[..., None] * per_beta
 
 
 @lru_cache(maxsize=4)

@@ -111,7 +111,7 @@ def fit_skeletons(batch: Batch) -> None:
         optimizer.zero_grad()
         group.template.total(group.body_terms(stacked)).sum().backward()
         optimizer.step()
-        stacked.project_(config, group.template.body)
+        stacked.project_(group.template.body)
     stacked.copy_into(batch.variables)
 
 
@@ -219,7 +219,7 @@ def _run_stage(
                 break
         losses.sum().backward()
         optimizer.step()
-        variables.project_(config, group.template.body)
+        variables.project_(group.template.body)
     clock.skip(stage.iterations - reported)
     values = torch.stack(rows).cpu()
     _check_finite(values, names)

@@ -5,6 +5,7 @@ fit, for all of them; rendering is batched.
 """
 
 import gc
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -36,6 +37,8 @@ class BatchedVariables:
     translation: Float[Tensor, "N T D1 4"]
     betas: Float[Tensor, "N 10"]
     texture: Float[Tensor, "N A A 3"]
+    height_m: Float[Tensor, "N"]
+    """NaN where the height is free."""
 
     @staticmethod
     def stack(variables: Sequence[Variables], device: torch.device) -> "BatchedVariables":
@@ -55,6 +58,11 @@ class BatchedVariables:
             leaf([one.trajectory.translation for one in variables]),
             leaf([one.betas for one in variables]),
             leaf([one.texture for one in variables]),
+            torch.tensor(
+                [math.nan if one.height_m is None else one.height_m for one in variables],
+                dtype=torch.float64,
+                device=device,
+            ),
         )
 
     def copy_into(self, variables: Sequence[Variables]) -> None:
@@ -92,17 +100,17 @@ class BatchedVariables:
                 now, kept = getattr(self, part.name), getattr(into, part.name)
                 kept.copy_(torch.where(chosen.view(-1, *(1,) * (now.ndim - 1)), now, kept))
 
-    def project_(self, config: FitConfig, body: Body) -> None:
+    def project_(self, body: Body) -> None:
         """Project onto the constraints after a step; see `Variables.project_`.
 
         Args:
-            config: options of the fit.
             body: the body model.
         """
         with torch.no_grad():
             self.texture.clamp_(0, 1)
-            if config.height_m is not None and self.betas.requires_grad:
-                self.betas.copy_(as_tall(self.betas, body, config.height_m))
+            if self.betas.requires_grad:
+                free = self.height_m.isnan()[:, None]
+                self.betas.copy_(torch.where(free, self.betas, as_tall(self.betas, body, self.height_m)))
 
     def copy(self) -> "BatchedVariables":
         """Return a detached copy."""

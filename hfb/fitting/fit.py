@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import torch
 
-from hfb.body.height import as_tall
+from hfb.body.height import as_tall, height_m
 from hfb.body.model import Body
 from hfb.config import FitConfig
 from hfb.errors import InputError
@@ -16,9 +16,9 @@ from hfb.fitting.confidence import shipped_radius_mm
 from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
 from hfb.fitting.front_choice import FitLoss, FrontChoice, front_log_odds, loss_log_ratio, turn_between_deg
-from hfb.fitting.identity import Identity, rescale_first_body
+from hfb.fitting.identity import Identity
 from hfb.fitting.joint_features import joint_features
-from hfb.fitting.refine import InitialEvidence, predict_initial_evidence
+from hfb.fitting.refine import InitialEvidence, predict_initial_evidence, seen_by_network
 from hfb.fitting.stage_clock import Progress, StageClock
 from hfb.fitting.stages import StagesResult, image_stages, run_stages
 from hfb.fitting.variables import Variables, start_variables
@@ -26,7 +26,7 @@ from hfb.fitting.warmup import fit_skeleton
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.sampled import SampledMotion, sample_motion
-from hfb.motion.static_pose import FirstBody, OtherFront
+from hfb.motion.static_pose import FirstBody, OtherFront, rescale_first_body
 from hfb.motion.trajectory import Trajectory
 from hfb.objective.objective import Objective
 from hfb.objective.own_term import OwnTerm
@@ -325,14 +325,19 @@ class _Schedule:
         seen, first_bodies = problem.observation, problem.first_bodies
         if len(first_bodies) != seen.mattes.shape[0]:
             raise ValueError(f"{len(first_bodies)} first bodies for {seen.mattes.shape[0]} frames")
-        if config.height_m is not None and problem.identity is None:
-            first_bodies = [
-                rescale_first_body(one, as_tall(one.betas, body, config.height_m), body) for one in first_bodies
-            ]
+        kept_m = self._kept_height_m(first_bodies)
+        if kept_m is not None and problem.identity is None:
+            first_bodies = [rescale_first_body(one, as_tall(one.betas, body, kept_m), body) for one in first_bodies]
         generator = torch.Generator().manual_seed(self.seed)
-        variables = start_variables(first_bodies, seen, config, generator, problem.identity)
+        variables = start_variables(first_bodies, seen, config, generator, problem.identity, kept_m)
         initial = predict_initial_evidence(seen, first_bodies, body, config, square=self.batched)
         return _Start(problem, first_bodies, variables, initial, self._objective(initial, first_bodies))
+
+    def _kept_height_m(self, first_bodies: Sequence[FirstBody]) -> float | None:
+        """Return the height that is told, else the mean height of bodies that a pose network saw."""
+        if self.config.height_m is not None or not self.config.keep_height or not seen_by_network(first_bodies):
+            return self.config.height_m
+        return height_m(self.body, torch.stack([one.betas for one in first_bodies])).mean().item()
 
     def _objective(self, initial: InitialEvidence, first_bodies: Sequence[FirstBody]) -> Objective:
         """Return eq. (11) at full size, rendered on the CPU."""

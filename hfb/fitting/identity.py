@@ -1,16 +1,14 @@
 """Identity of a person in a clip: shape and texture, constant in every window."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from hfb.body.model import Body, bone_length
 from hfb.errors import InputError
 from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
-from hfb.motion.static_pose import FirstBody
 from hfb.typing import Float, Tensor
 
 
@@ -25,23 +23,6 @@ class Identity:
 
     betas: Float[Tensor, "10"]
     texture: Float[Tensor, "A A 3"]
-
-
-def rescale_first_body(first: FirstBody, betas: Float[Tensor, "10"], body: Body) -> FirstBody:
-    """Change the shape of a first body and keep its size in the image.
-
-    The pelvis keeps its direction from the camera; its distance changes by the ratio of the total bone lengths.
-
-    Args:
-        first: the body to change.
-        betas: its new shape coefficients.
-        body: the body model.
-    """
-    dtype = body.template.dtype
-    before, after = (body.rest_joints(one.to(dtype)) for one in (first.betas, betas))
-    factor = bone_length(after) / bone_length(before)
-    translation = factor * (first.translation.to(dtype) + before[0]) - after[0]
-    return replace(first, translation=translation.to(first.translation), betas=betas.to(first.betas).clone())
 
 
 def save_identity(path: Path, identity: Identity) -> None:

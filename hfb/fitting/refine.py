@@ -84,8 +84,17 @@ def predict_initial_evidence(
         window,
         round(_MATTING_SIZE * max((stage.size_px for stage in config.stages), default=0)),
         predict_joint_evidence(observation, first_bodies, body) if needed else None,
-        corrected="network" not in {start_kind(one.source) for one in first_bodies},
+        corrected=not seen_by_network(first_bodies),
     )
+
+
+def seen_by_network(first_bodies: Sequence[FirstBody]) -> bool:
+    """Whether a pose network, or another system, saw any of the bodies.
+
+    Args:
+        first_bodies: one static body per frame.
+    """
+    return "network" in {start_kind(one.source) for one in first_bodies}
 
 
 def refine_stage_inputs(

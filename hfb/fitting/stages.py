@@ -138,4 +138,4 @@ def _iterations(
         yield loss, values
         objective.backward(terms)
         optimizer.step(learning_rates(config, stage.learning_rate * decay))
-        variables.project_(config, objective.body)
+        variables.project_(objective.body)

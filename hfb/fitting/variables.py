@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -31,12 +31,14 @@ class Variables:
         betas: shape coefficients.
         texture: linear light.
         reference: betas that the trajectory is expressed for; None: the trajectory is in metres as it is.
+        height_m: height that the shape keeps; None: it is free.
     """
 
     trajectory: Trajectory
     betas: Float[Tensor, "10"]
     texture: Float[Tensor, "A A 3"]
     reference: Float[Tensor, "10"] | None = None
+    height_m: float | None = None
 
     def motion(self, body: Body) -> Trajectory:
         """Return the trajectory in metres for the current betas; differentiable in both.
@@ -53,17 +55,16 @@ class Variables:
         before, now = body.rest_joints(self.reference), body.rest_joints(self.betas)
         return self.trajectory.enlarged(bone_length(now) / bone_length(before), before[0], now[0])
 
-    def project_(self, config: FitConfig, body: Body) -> None:
-        """Project onto the constraints after a step: colours in [0, 1], a known height.
+    def project_(self, body: Body) -> None:
+        """Project onto the constraints after a step: colours in [0, 1], a height that is kept.
 
         Args:
-            config: options of the fit.
             body: the body model.
         """
         with torch.no_grad():
             self.texture.clamp_(0, 1)
-            if config.height_m is not None and self.betas.requires_grad:
-                self.betas.copy_(as_tall(self.betas, body, config.height_m))
+            if self.height_m is not None and self.betas.requires_grad:
+                self.betas.copy_(as_tall(self.betas, body, self.height_m))
 
     def joints_at_middle(self, body: Body) -> Float[Tensor, "T 24 3"]:
         """Return joints of every frame at u = 1/2, camera coordinates [m]; no gradient.
@@ -115,7 +116,9 @@ class Variables:
         trajectory = self.trajectory.with_coefficients(
             self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
         )
-        return Variables(trajectory, self.betas.detach().clone(), self.texture.detach().clone(), self.reference)
+        return replace(
+            self, trajectory=trajectory, betas=self.betas.detach().clone(), texture=self.texture.detach().clone()
+        )
 
 
 def cosine_decay(iteration: int, iterations: int) -> float:
@@ -144,6 +147,7 @@ def start_variables(
     config: FitConfig,
     generator: torch.Generator,
     identity: Identity | None = None,
+    height_m: float | None = None,
 ) -> Variables:
     """Start values: a body at rest per frame, moving towards its neighbours' where there are several.
 
@@ -156,6 +160,7 @@ def start_variables(
         config: options of the fit.
         generator: draws the random direction.
         identity: known shape and texture, held constant; both are free when not given.
+        height_m: height of the first bodies, which the shape is to keep.
     """
     poses = torch.stack([first.pose for first in first_bodies]).to(observation.mattes)
     translations = torch.stack([first.translation for first in first_bodies]).to(observation.mattes)
@@ -168,7 +173,7 @@ def start_variables(
     if identity is None:
         texture = mean_foreground(observation).expand(config.texture_px, config.texture_px, 3)
         reference = betas.clone() if config.keep_image_size and config.rotation == "quaternion" else None
-        leaves = Variables(trajectory, betas, texture, reference).copy()
+        leaves = Variables(trajectory, betas, texture, reference, height_m).copy()
         free = [leaves.betas, leaves.texture]
     else:
         leaves = Variables(trajectory, identity.betas.to(betas), identity.texture.to(betas)).copy()

@@ -28,7 +28,7 @@ def fit_skeleton(variables: Variables, objective: Objective, config: FitConfig) 
         motion, shaped = variables.motion(body), body.shape(variables.betas)
         skeleton.backward(skeleton.body_terms(motion, variables.betas, shaped))
         optimizer.step([warmup_rate(iteration, config)] * len(moving))
-        variables.project_(config, body)
+        variables.project_(body)
 
 
 def warmup_rate(iteration: int, config: FitConfig) -> float:

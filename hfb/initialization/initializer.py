@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from hfb.body.height import as_tall, height_line
 from hfb.body.model import Body
 from hfb.config import OWN_NETWORKS, InitConfig
 from hfb.errors import InputError
@@ -22,7 +23,7 @@ from hfb.initialization.person_landmarks import find_landmarks
 from hfb.initialization.registration import register
 from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine
 from hfb.initialization.swept_search import carried_along, search_swept
-from hfb.motion.static_pose import FirstBody
+from hfb.motion.static_pose import FirstBody, rescale_first_body
 from hfb.networks.mediapipe_files import LandmarkChoice
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.rasterizer import Rasterizer
@@ -238,10 +239,15 @@ def _searched(
 def _nearer_to_matte(
     first: FirstBody, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> FirstBody:
-    """Refine a body that a network saw, which is kept only where it shares more with the matte; lessen its lean."""
+    """Refine a body that a network saw, which is kept only where it shares more with the matte; lessen its lean.
+
+    No image shows how tall somebody is: the mean height stays, the distance follows.
+    """
     closer = refine(first, matte, camera, body, rasterizer, _REFINEMENT, _STAY_BY_LANDMARKS)
     level = matte_level(matte, camera, _COMPARE_PX)
-    return less_lean(max((closer, first), key=lambda one: overlap(one, level, body, rasterizer)), body)
+    nearer = max((closer, first), key=lambda one: overlap(one, level, body, rasterizer))
+    mean_m, _ = height_line(body)
+    return less_lean(rescale_first_body(nearer, as_tall(nearer.betas, body, mean_m), body), body)
 
 
 def _array(picture: Picture) -> Float[Array, "H W 3"]:

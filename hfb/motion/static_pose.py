@@ -1,11 +1,12 @@
 """The static body that every fit starts from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from hfb.body.model import Body, bone_length
 from hfb.errors import InputError
 from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
@@ -29,6 +30,23 @@ class FirstBody:
     translation: Float[Tensor, "3"]
     betas: Float[Tensor, "10"]
     source: str
+
+
+def rescale_first_body(first: FirstBody, betas: Float[Tensor, "10"], body: Body) -> FirstBody:
+    """Change the shape of a first body and keep its size in the image.
+
+    The pelvis keeps its direction from the camera; its distance changes by the ratio of the total bone lengths.
+
+    Args:
+        first: the body to change.
+        betas: its new shape coefficients.
+        body: the body model.
+    """
+    dtype = body.template.dtype
+    before, after = (body.rest_joints(one.to(dtype)) for one in (first.betas, betas))
+    factor = bone_length(after) / bone_length(before)
+    translation = factor * (first.translation.to(dtype) + before[0]) - after[0]
+    return replace(first, translation=translation.to(first.translation), betas=betas.to(first.betas).clone())
 
 
 @dataclass(frozen=True)

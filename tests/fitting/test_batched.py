@@ -175,7 +175,7 @@ def test_settling_is_that_of_the_processor(device: str) -> None:
 def beside_its_way(scene: Scene) -> Scene:
     """With a second of three first bodies that is off, by some centimetres and by some degrees in every joint."""
     first, second, third = scene.middle
-    generator = torch.Generator().manual_seed(3)
+    generator = torch.Generator().manual_seed(4)
     pose, translation = (
         one + 0.05 * torch.randn(one.shape, generator=generator) for one in (second.pose, second.translation)
     )

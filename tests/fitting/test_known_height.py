@@ -1,4 +1,6 @@
-"""A person whose height is told: the fit holds on to it, and the size of everything follows."""
+"""A height that is told, or that of a body that a network saw: the fit holds it, and the size of everything follows."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from hfb.body.height import as_tall, height_m
 from hfb.config import FitConfig, Stage, preset
 from hfb.fitting.confidence import shipped_confidence
 from hfb.fitting.fit import FitResult, fit
-from hfb.fitting.identity import Identity, rescale_first_body
+from hfb.fitting.identity import Identity
+from hfb.motion.static_pose import rescale_first_body
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import moving_scene
 
@@ -30,11 +33,12 @@ def told(height: float | None, rotation: str = "quaternion") -> FitConfig:
     )
 
 
-def found(config: FitConfig, person: Identity | None = None) -> FitResult:
+def found(config: FitConfig, person: Identity | None = None, source: str = "test") -> FitResult:
     """From a first body of the true pose and place in the picture, whose size is a fifth too large."""
     scene = moving_scene(BODY, size_px=64)
     large = as_tall(torch.zeros(10), BODY, 1.2 * TRUE_M)
     starts = [rescale_first_body(first, person.betas if person else large, BODY) for first in scene.middle]
+    starts = [replace(first, source=source) for first in starts]
     return fit(scene.observation, starts, BODY, config, 0, AnatomicalPrior(), identity=person)
 
 
@@ -73,6 +77,18 @@ def test_joints_are_surer_where_the_height_is_told() -> None:
     assert not unknown.joint_features["told"].any()
     assert (known.joint_features["told"] == 1).all()
     assert shipped_confidence().coefficients["told"] < -0.05
+
+
+@pytest.mark.parametrize("rotation", ["quaternion", "axis-angle"])
+def test_a_body_that_a_network_saw_keeps_its_height(rotation: str) -> None:
+    """A fit takes clothed people for short ones; of the matte's own body the joint network knows more."""
+    config = told(None, rotation)
+    seen, free = found(config, source="mediapipe"), found(config, source="matte")
+    assert tall(seen) == pytest.approx(1.2 * TRUE_M, abs=1e-4)
+    assert abs(tall(free) - 1.2 * TRUE_M) > 0.005
+    assert not seen.joint_features["told"].any()  # kept, not known
+    as_before = found(config.model_copy(update={"keep_height": False}), source="mediapipe")
+    assert abs(tall(as_before) - 1.2 * TRUE_M) > 0.005
 
 
 def test_a_person_who_is_known_is_left_alone() -> None:

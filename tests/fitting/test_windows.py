@@ -25,10 +25,10 @@ from hfb.fitting.clip.windows import (
     save_window,
     window_config,
 )
-from hfb.fitting.identity import Identity, load_identity, rescale_first_body, save_identity
+from hfb.fitting.identity import Identity, load_identity, save_identity
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.motion.static_pose import FirstBody
+from hfb.motion.static_pose import FirstBody, rescale_first_body
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.fitting.chains import timing, window_fits
 from tests.scenes import moving_scene

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
+from hfb.body.height import height_line, height_m
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
@@ -157,6 +158,7 @@ def test_a_real_blurred_walk(shared_data: Path) -> None:
     assert overlap(first, matte_level(matte, camera, 128), body, make_rasterizer()) > 0.7
     assert float(AnatomicalPrior()(first.pose[None, 1:])[0]) < 60
     assert 1.5 < float(first.translation[2]) < 6
+    assert float(height_m(body, first.betas)) == pytest.approx(height_line(body)[0], abs=1e-4)
 
 
 @needs_networks

@@ -16,11 +16,11 @@ from hfb.body.model import Body
 from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from hfb.fitting.fit import FitResult, Problem, fit_all
-from hfb.fitting.identity import Identity, rescale_first_body
+from hfb.fitting.identity import Identity
 from hfb.geometry.camera import RowClock
 from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
-from hfb.motion.static_pose import FirstBody, OtherFront
+from hfb.motion.static_pose import FirstBody, OtherFront, rescale_first_body
 from hfb.motion.trajectory import Trajectory
 from hfb.objective.own_term import OwnTerm
 from hfb.priors.motion_prior import MotionPrior

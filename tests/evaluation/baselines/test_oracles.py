@@ -22,11 +22,10 @@ from hfb.evaluation.judge import judge
 from hfb.evaluation.metrics import mpjpe_mm
 from hfb.evaluation.prediction import Prediction
 from hfb.evaluation.protocol import pose_rows
-from hfb.fitting.identity import rescale_first_body
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.initialization.fronts import mirrored_in_depth
 from hfb.io.media.images.image_io import write_matte, write_png
-from hfb.motion.static_pose import FirstBody
+from hfb.motion.static_pose import FirstBody, rescale_first_body
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
