@@ -115,12 +115,13 @@ def fit_skeletons(batch: Batch) -> None:
     stacked.copy_into(batch.variables)
 
 
-def run_batched_stages(batch: Batch, clock: StageClock) -> list[StagesResult]:
+def run_batched_stages(batch: Batch, clock: StageClock, count: int | None = None) -> list[StagesResult]:
     """Run every stage of all fits at once; see `hfb.fitting.stages.run_stages`.
 
     Args:
         batch: its variables are changed in place.
         clock: times and reports the stages.
+        count: number of stages to run; all when not given.
 
     Raises:
         FloatingPointError: the loss of a fit is not finite.
@@ -129,8 +130,8 @@ def run_batched_stages(batch: Batch, clock: StageClock) -> list[StagesResult]:
     stacked, staged = batch.stack(), objectives
     optimizer = torch.optim.Adam(stacked.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
     histories: list[dict[str, list[float]]] = [{} for _ in variables]
-    best_iterations, offsets = [0] * len(variables), [0] * len(variables)
-    for number, stage in enumerate(image_stages(config), 1):
+    best_iterations, first_bests, offsets = ([0] * len(variables) for _ in range(3))
+    for number, stage in enumerate(image_stages(config)[:count], 1):
         if number > 1:
             with clock.stage(f"refine_{number}"):
                 full_size = is_full_size(stage, config)
@@ -152,12 +153,13 @@ def run_batched_stages(batch: Batch, clock: StageClock) -> list[StagesResult]:
                     history.setdefault(name, []).extend(row)
                 best_iterations[place] = offsets[place] + int(kept.iteration[place])
                 offsets[place] += length
+            first_bests = list(best_iterations) if number == 1 else first_bests
             kept.variables.copy_rows(torch.ones_like(kept.loss, dtype=torch.bool), stacked)
             stacked.copy_into(variables)
     return [
-        StagesResult(mine.copy(), best, history, objective, one.observation)
-        for mine, best, history, objective, one in zip(
-            variables, best_iterations, histories, staged, objectives, strict=True
+        StagesResult(mine.copy(), best, first, history, objective, one.observation)
+        for mine, best, first, history, objective, one in zip(
+            variables, best_iterations, first_bests, histories, staged, objectives, strict=True
         )
     ]
 

@@ -15,7 +15,14 @@ from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import shipped_radius_mm
 from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
-from hfb.fitting.front_choice import FitLoss, FrontChoice, front_log_odds, loss_log_ratio, turn_between_deg
+from hfb.fitting.front_choice import (
+    CLEAR_LOG_ODDS,
+    FitLoss,
+    FrontChoice,
+    front_log_odds,
+    loss_log_ratio,
+    turn_between_deg,
+)
 from hfb.fitting.identity import Identity
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.refine import InitialEvidence, predict_initial_evidence, seen_by_network
@@ -201,21 +208,26 @@ def _fit_one(problem: Problem, schedule: "_Schedule", on_progress: Progress | No
     other = None
     if problem.other_front is not None:
         with clock.stage("other_front"):
-            other = _run_to_end(problem.mirrored(), schedule, clock.inner("other front: "))
+            mirrored = problem.mirrored()
+            other = _run_to_end(mirrored, schedule, clock.inner("other front: "), only_first=True)
+            if not schedule.clearly_as_found(fitted, other):
+                other = _run_to_end(mirrored, schedule, clock.inner("other front: "))
+        clock.skip(iterations)
     with clock.stage("directions"):
         result = schedule.finish(fitted, other)
     return replace(result, stage_seconds=clock.seconds)
 
 
-def _run_to_end(problem: Problem, schedule: "_Schedule", clock: StageClock) -> "_Fitted":
-    """Everything up to the last image stage."""
+def _run_to_end(problem: Problem, schedule: "_Schedule", clock: StageClock, only_first: bool = False) -> "_Fitted":
+    """Everything up to the last image stage, or to the first."""
     config = schedule.config
     with clock.stage("evidence"):
         start = schedule.start(problem)
     if config.settle > 0:
         with clock.stage("warm_up"):
             fit_skeleton(start.variables, start.objective, config)
-    return _Fitted(start, run_stages(start.variables, start.initial, start.objective, config, clock))
+    count = 1 if only_first else None
+    return _Fitted(start, run_stages(start.variables, start.initial, start.objective, config, clock, count), only_first)
 
 
 def _fit_batch(
@@ -236,10 +248,13 @@ def _fit_batch(
         others: list[_Fitted | None] = [None] * len(problems)
         if doubtful:
             with clock.stage("other_front"):
-                mirrored = [problems[place].mirrored() for place in doubtful]
-                found = _run_batch_to_end(mirrored, schedule, clock.inner("other front: "), batch_size)
-            for place, one in zip(doubtful, found, strict=True):
-                others[place] = one
+                for only_first in (True, False):
+                    mirrored, inner = [problems[place].mirrored() for place in doubtful], clock.inner("other front: ")
+                    found = _run_batch_to_end(mirrored, schedule, inner, batch_size, only_first) if doubtful else []
+                    for place, one in zip(doubtful, found, strict=True):
+                        others[place] = one
+                    doubtful = [one for one in doubtful if not schedule.clearly_as_found(fitted[one], others[one])]
+            clock.skip(iterations)
     except torch.OutOfMemoryError as error:
         raise InputError(
             f"the GPU's memory is too small for {max(batch_size, len(problems))} fits at once: give a smaller "
@@ -251,7 +266,7 @@ def _fit_batch(
 
 
 def _run_batch_to_end(
-    problems: Sequence[Problem], schedule: "_Schedule", clock: StageClock, batch_size: int
+    problems: Sequence[Problem], schedule: "_Schedule", clock: StageClock, batch_size: int, only_first: bool = False
 ) -> list["_Fitted"]:
     config = schedule.config
     rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
@@ -271,8 +286,8 @@ def _run_batch_to_end(
         if config.settle > 0:
             with clock.stage("warm_up"):
                 fit_skeletons(batch)
-        stages = run_batched_stages(batch, clock)
-    return [_Fitted(start, one) for start, one in zip(starts, stages, strict=True)]
+        stages = run_batched_stages(batch, clock, 1 if only_first else None)
+    return [_Fitted(start, one, only_first) for start, one in zip(starts, stages, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -288,17 +303,17 @@ class _Start:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A problem after its last stage."""
+    """A problem after its last stage, or after its first."""
 
     start: _Start
     stages: StagesResult
+    only_first: bool = False
 
-    @property
-    def loss(self) -> FitLoss:
-        """Losses of the best iterate; 0 without iterations."""
+    def loss(self, first: bool) -> FitLoss:
+        """Losses of the best iterate, of the first stage or of all; 0 without iterations."""
+        best = self.stages.first_best if first else self.stages.best_iteration
         total, matte = (
-            values[self.stages.best_iteration] if (values := self.stages.history.get(name)) else 0.0
-            for name in ("total", "matte")
+            values[best] if (values := self.stages.history.get(name)) else 0.0 for name in ("total", "matte")
         )
         return FitLoss(total, matte)
 
@@ -372,10 +387,9 @@ class _Schedule:
         """
         if other is None:
             return self._complete(fitted)
-        bodies, turned = fitted.start.problem.first_bodies, fitted.start.problem.other_front
+        turned = fitted.start.problem.other_front
         assert turned is not None
-        loss_ratio = loss_log_ratio(fitted.loss, other.loss)
-        log_odds = front_log_odds(loss_ratio, turned.doubt, [one.source for one in bodies])
+        loss_ratio, log_odds = _front_odds(fitted, other)
         kept, left = (fitted, other) if log_odds >= 0 else (other, fitted)
         result, rest = self._complete(kept), self._result(left).motion
         turn_deg = turn_between_deg(result.motion, rest)
@@ -384,6 +398,18 @@ class _Schedule:
         if alternatives is not None:
             alternatives = replace(alternatives, other_front=front.as_alternative())
         return replace(result, front=front, alternatives=alternatives)
+
+    def clearly_as_found(self, fitted: _Fitted, other: _Fitted | None) -> bool:
+        """Whether the first stage of the other front leaves no need to fit the rest of it.
+
+        Args:
+            fitted: from the first bodies as found.
+            other: from the other front, its first stage alone.
+        """
+        turned = fitted.start.problem.other_front
+        assert turned is not None
+        assert other is not None
+        return not turned.to_the_end and _front_odds(fitted, other)[1] > CLEAR_LOG_ODDS
 
     def _complete(self, fitted: _Fitted) -> FitResult:
         start, stages = fitted.start, fitted.stages
@@ -444,6 +470,14 @@ class _Schedule:
         left, top, *_ = seen.region(square=self.batched)
         mattes = paste_mattes(seen.mattes, stages.observation.mattes, left, top)
         return FitResult(motion, texture, best.trajectory, mattes, stages.history, stages.best_iteration)
+
+
+def _front_odds(fitted: _Fitted, other: _Fitted) -> tuple[float, float]:
+    """Return the ratio of losses, of the first stage where the other front has no more, and the log odds "as found"."""
+    turned = fitted.start.problem.other_front
+    assert turned is not None
+    ratio = loss_log_ratio(fitted.loss(other.only_first), other.loss(other.only_first))
+    return ratio, front_log_odds(ratio, turned.doubt, [one.source for one in fitted.start.problem.first_bodies])
 
 
 def _texel_neighbours(body: Body, config: FitConfig) -> TexelNeighbours:

@@ -27,6 +27,7 @@ class StagesResult:
     Attributes:
         best: variables of the best iterate.
         best_iteration: counted through all stages.
+        first_best: best iteration of the first stage.
         history: one value per iteration of every term and the weighted `total`.
         objective: at the last stage's size.
         observation: the last stage's observation at full size, with the mattes that it used.
@@ -34,13 +35,19 @@ class StagesResult:
 
     best: Variables
     best_iteration: int
+    first_best: int
     history: dict[str, list[float]]
     objective: Objective
     observation: Observation
 
 
 def run_stages(
-    variables: Variables, initial: InitialEvidence, objective: Objective, config: FitConfig, clock: StageClock
+    variables: Variables,
+    initial: InitialEvidence,
+    objective: Objective,
+    config: FitConfig,
+    clock: StageClock,
+    count: int | None = None,
 ) -> StagesResult:
     """Run every stage from the best iterate of the last one, refining the evidence in between.
 
@@ -50,15 +57,16 @@ def run_stages(
         objective: at full size, with these predictions.
         config: options of the fit.
         clock: times the stages `stage_1`, `refine_2`, `stage_2` ...
+        count: number of stages to run; all when not given.
 
     Raises:
         FloatingPointError: the loss is not finite; the message names the terms.
     """
     history: dict[str, list[float]] = {}
-    best, best_iteration, done, staged = variables.copy(), 0, 0, objective
+    best, best_iteration, first_best, done, staged = variables.copy(), 0, 0, 0, objective
     # One optimiser for all stages: the first steps of a fresh one, without gradient statistics, undo progress.
     optimizer = Adam(variables.leaves(), config.adam_epsilon)
-    for number, stage in enumerate(image_stages(config), 1):
+    for number, stage in enumerate(image_stages(config)[:count], 1):
         if number > 1:
             with clock.stage(f"refine_{number}"):
                 full_size = is_full_size(stage, config)
@@ -80,7 +88,8 @@ def run_stages(
                     clock.skip(left)
                     break
             variables.copy_from_(best)
-    return StagesResult(best, best_iteration, history, staged, objective.observation)
+        first_best = best_iteration if number == 1 else first_best
+    return StagesResult(best, best_iteration, first_best, history, staged, objective.observation)
 
 
 def image_stages(config: FitConfig) -> list[Stage]:

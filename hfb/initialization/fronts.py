@@ -58,6 +58,8 @@ def find_other_front(
 ) -> OtherFront | None:
     """Return the bodies that face the other way, laid onto the mattes; None where the front is sure.
 
+    Simulated starts err, but never by their front.
+
     Args:
         observation: of all frames.
         first_bodies: one per frame, agreed on one front.
@@ -68,7 +70,7 @@ def find_other_front(
     Raises:
         InputError: a matte is empty.
     """
-    if not enabled:
+    if not enabled or all(first.source == "simulated" for first in first_bodies):
         return None
     doubt = float(front_doubts(observation, first_bodies, body).mean())
     if doubt >= sure:

@@ -56,10 +56,12 @@ class OtherFront:
     Attributes:
         bodies: one per frame.
         doubt: how much surer the joint network is of the bodies as found (`hfb.initialization.fronts.front_doubts`).
+        to_the_end: fit them to the end, however clear it is before.
     """
 
     bodies: tuple[FirstBody, ...]
     doubt: float
+    to_the_end: bool = False
 
 
 def save_first_body(path: Path, first: FirstBody) -> None:

@@ -1,5 +1,7 @@
 """The front that a fit keeps: a start that faces the wrong way is turned, a right one stays."""
 
+import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,30 @@ def test_the_kept_fit_is_the_one_that_it_would_be_alone(example: tuple[Observati
     assert not both.front.mirrored
     np.testing.assert_array_equal(both.motion.poses, alone.motion.poses)
     assert torch.equal(both.texture, alone.texture)
+
+
+@pytest.mark.parametrize("to_the_end", [False, True])
+def test_a_front_that_is_clearly_wrong_is_left_at_the_first_size(
+    example: tuple[Observation, FirstBody, Truth], to_the_end: bool
+) -> None:
+    seen, found, _ = example
+    first, told = dataclasses.replace(found, source="mediapipe"), []
+    result = fit(
+        seen, [first], BODY, SHORT, 0, AnatomicalPrior(),
+        other_front=OtherFront((mirrored_in_depth(first),), 0.5, to_the_end),
+        on_progress=lambda done, total, note: told.append((done / total, note)),
+    )  # fmt: skip
+    assert result.front is not None
+    assert not result.front.mirrored
+    assert result.front.probability > 0.88
+    stages = {note.partition(",")[0] for _, note in told if note.startswith("other front: stage")}
+    assert stages == ({"other front: stage 1", "other front: stage 2"} if to_the_end else {"other front: stage 1"})
+    assert max(share for share, _ in told) == told[-1][0] == 1
+
+
+def test_simulated_starts_have_one_front(example: tuple[Observation, FirstBody, Truth]) -> None:
+    seen, found, _ = example
+    assert find_other_front(seen, [dataclasses.replace(found, source="simulated")], BODY, sure=math.inf) is None
 
 
 @pytest.mark.parametrize("kind", ["mediapipe", "matte", "simulated"])

@@ -8,7 +8,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +155,7 @@ def pairs_of(folders: Sequence[Path], every: int) -> Iterator[Pair]:
             starts = [load_first_body(looked / f"first_body_{index}.npz") for index in range(case.frames)]
             other = find_other_front(seen, starts, body, sure=math.inf)
             assert other is not None
+            other = replace(other, to_the_end=True)
             result = fit(seen, starts, body, config.fit, config.seed, prior, other_front=other)
             front = result.front
             assert front is not None
