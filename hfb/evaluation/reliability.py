@@ -1,13 +1,15 @@
 """Reliability of predicted uncertainties: predicted against observed errors."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pandas import DataFrame
 
 from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import radius_factor
 from hfb.typing import Array, Float
+
+if TYPE_CHECKING:  # .2 s and 60 MB, which whoever scores a motion can do without
+    from pandas import DataFrame
 
 LEVELS: tuple[float, ...] = (0.1, 0.25, 0.5, 0.75, 0.9)
 """Probabilities at which the joints' radii are checked."""
@@ -46,7 +48,7 @@ def direction_row(alternatives: Alternatives) -> dict[str, float | None]:
     return {"direction_said": float(said.mean()) if np.isfinite(said).all() else None}
 
 
-def reliability_cell(cases: DataFrame) -> dict[str, Any]:
+def reliability_cell(cases: "DataFrame") -> dict[str, Any]:
     """Return a results cell's entries: the share of joints within each level's radius, and its distance from the level.
 
     ``radius_error`` is the mean over the levels of |level - share|, ``direction_error`` the expected calibration
@@ -71,7 +73,7 @@ def reliability_cell(cases: DataFrame) -> dict[str, Any]:
     }
 
 
-def direction_groups(cases: DataFrame) -> list[dict[str, Any]]:
+def direction_groups(cases: "DataFrame") -> list[dict[str, Any]]:
     """Group cases by predicted P(direction right): their number, the mean prediction, the share that was right.
 
     Args:
