@@ -3,7 +3,7 @@
 Blur makes the detector miss and the second network invent limbs, whereas the matte shows where the person is. So
 regions come from the detector and from the matte itself, the networks look at the person before a gray and a light
 wall in place of the plate, and every result is drawn as a stick figure and compared with the matte. The best one is
-averaged with what the network says of the mirror image: its errors of depth differ there.
+averaged with what the network says of the other wall and of the mirror images: its errors differ there.
 """
 
 from collections.abc import Iterator, Sequence
@@ -79,33 +79,33 @@ def find_landmarks(
             break
     if best is None:
         return None
-    both = seen_both_ways(networks, of_picture, best[0])
-    return both, stick_agreement(both.pixels, matte)
+    mean = seen_all_ways(networks, [of_picture, *(one for one in pictures if one is not of_picture)], best[0])
+    return mean, stick_agreement(mean.pixels, matte)
 
 
-def seen_both_ways(networks: PoseNetworks, picture: Float[Array, "H W 3"], found: Landmarks) -> Landmarks:
-    """Return the mean of landmarks and of those in the mirror image, in the same region.
+def seen_all_ways(networks: PoseNetworks, pictures: Sequence[Float[Array, "H W 3"]], found: Landmarks) -> Landmarks:
+    """Return the mean of the landmarks in all images and their mirror images, in the same region.
 
-    A point whose two places in the image are far apart stays where it was found. All stay where the network sees
-    nobody in the mirror image.
+    A point that another look has far away counts there as found. Looks that see nobody do not count.
 
     Args:
         networks: loaded pose networks.
-        picture: the image in which they were found.
+        pictures: the image in which they were found, and others of the same person.
         found: the landmarks.
     """
-    width = picture.shape[1]
-    mirror_image = np.ascontiguousarray(picture[:, ::-1])
-    other = networks.locate(mirror_image, found.region.mirrored(width)).mirrored(width)
-    if other.score < _LEAST_SCORE:
-        return found
-    apart = np.linalg.norm(other.pixels - found.pixels, axis=1, keepdims=True)
-    pixels = np.where(apart < _SAME_PLACE * trunk_length(found.pixels), other.pixels, found.pixels)
+    width, near = pictures[0].shape[1], _SAME_PLACE * trunk_length(found.pixels)
+    looks = [networks.locate(picture, found.region) for picture in pictures[1:]]
+    for picture in pictures:
+        mirror_image = np.ascontiguousarray(picture[:, ::-1])
+        looks.append(networks.locate(mirror_image, found.region.mirrored(width)).mirrored(width))
+    looks = [one for one in looks if one.score >= _LEAST_SCORE]
+    apart = [np.linalg.norm(one.pixels - found.pixels, axis=1, keepdims=True) for one in looks]
+    pixels = [np.where(far < near, one.pixels, found.pixels) for far, one in zip(apart, looks, strict=True)]
     return replace(
         found,
-        pixels=(found.pixels + pixels) / 2,
-        world=(found.world + other.world) / 2,
-        visibility=(found.visibility + other.visibility) / 2,
+        pixels=np.mean([found.pixels, *pixels], axis=0),
+        world=np.mean([found.world, *(one.world for one in looks)], axis=0),
+        visibility=np.mean([found.visibility, *(one.visibility for one in looks)], axis=0),
     )
 
 

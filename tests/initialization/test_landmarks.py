@@ -15,7 +15,7 @@ from hfb.geometry.camera import PinholeCamera
 from hfb.initialization import initializer, landmarks
 from hfb.initialization.initializer import make_initializer
 from hfb.initialization.landmarks import LANDMARK, Landmarks, PoseNetworks, Region, cut_region, networks_ready
-from hfb.initialization.person_landmarks import before_gray, draw_stick_figure, find_landmarks, seen_both_ways
+from hfb.initialization.person_landmarks import before_gray, draw_stick_figure, find_landmarks, seen_all_ways
 from hfb.initialization.silhouette_fit import matte_level, overlap
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.matting.methods import make_matting
@@ -112,11 +112,31 @@ def test_what_the_mirror_image_shows_counts_half_unless_it_is_another_limb(score
 
     picture = np.zeros((100, 100, 3), np.float32)
     picture[0, -1] = 1
-    both = seen_both_ways(Mirror(), picture, found)
+    both = seen_all_ways(Mirror(), [picture], found)
     expected = found.pixels.copy()
     expected[LANDMARK["left_wrist"]] += (5, 0) if moved else (0, 0)
     assert np.allclose(both.pixels, expected)
     assert np.allclose(both.world, found.world + (0.05 if moved else 0))
+
+
+def test_every_wall_and_mirror_image_counts_alike() -> None:
+    found = a_standing_person(2)
+    shifts = {0: 4.0, 1: 8.0, 2: 16.0, 3: 100.0}
+
+    class Walls(PoseNetworks):
+        """Every picture's level says how far the person seems to be moved; the last one sees nobody."""
+
+        def __init__(self) -> None: ...
+
+        def locate(self, picture_srgb: np.ndarray, region: Region) -> Landmarks:
+            level = int(picture_srgb[0, 0, 0])
+            moved = replace(found, world=found.world + shifts[level], score=0.2 if level == 3 else 0.9)
+            return moved if region == found.region else replace(moved, world=found.world + 1).mirrored(100)
+
+    pictures = [np.full((100, 100, 3), level, np.float32) for level in shifts]
+    told = seen_all_ways(Walls(), pictures, found)
+    assert np.allclose(told.world, found.world + (0 + 8 + 16 + 3 * 1) / 6)
+    assert np.allclose(told.pixels, found.pixels)
 
 
 @needs_networks
@@ -128,7 +148,8 @@ def test_an_image_and_its_mirror_image_give_the_same_person(shared_data: Path) -
     here = networks.locate(picture, region)
     there = networks.locate(turned, region.mirrored(width))
     alone = np.abs(there.mirrored(width).world - here.world).max()
-    one, two = seen_both_ways(networks, picture, here), seen_both_ways(networks, turned, there).mirrored(width)
+    one = seen_all_ways(networks, [picture], here)
+    two = seen_all_ways(networks, [turned], there).mirrored(width)
     assert alone > 0.01
     assert np.abs(two.world - one.world).max() < 1e-4
 
