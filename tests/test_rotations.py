@@ -9,7 +9,6 @@ import torch
 from hfb.geometry.rotations import (
     axis_angle_to_matrix,
     axis_angle_to_quaternion,
-    geodesic_angle,
     in_hemisphere_of,
     matrix_to_axis_angle,
     matrix_to_quaternion,
@@ -19,6 +18,7 @@ from hfb.geometry.rotations import (
     quaternion_to_matrix,
     six_d_to_matrix,
 )
+from tests.angles import angle_between
 
 COUNT = 200
 
@@ -138,10 +138,10 @@ def test_opposite_quaternions_are_one_rotation(axis_angle: torch.Tensor) -> None
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-7, 1e-3, 1.0, math.pi - 1e-7, math.pi])
-def test_geodesic_angle_is_accurate_everywhere(angle: float) -> None:
+def test_an_angle_between_rotations_is_accurate_everywhere(angle: float) -> None:
     left = axis_angle_to_matrix(_sample("uniform"))
     turn = _unit(COUNT, 3, torch.Generator().manual_seed(4)) * angle
-    measured = geodesic_angle(left, left @ axis_angle_to_matrix(turn))
+    measured = angle_between(left, left @ axis_angle_to_matrix(turn))
     close(measured, torch.full((COUNT,), angle, dtype=torch.float64), atol=1e-14)
 
 

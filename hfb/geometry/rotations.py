@@ -145,16 +145,6 @@ def six_d_to_matrix(six_d: Float[Tensor, "*n 6"]) -> Float[Tensor, "*n 3 3"]:
     return torch.stack([first, second, torch.linalg.cross(first, second)], -1)
 
 
-def geodesic_angle(left: Float[Tensor, "*n 3 3"], right: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n"]:
-    """Return the angle [rad] of the rotation between two matrices, accurate at 0 and at pi. Not meant for gradients.
-
-    Args:
-        left: rotation matrix.
-        right: rotation matrix.
-    """
-    return matrix_to_axis_angle(left.transpose(-1, -2) @ right).norm(dim=-1)
-
-
 def in_hemisphere_of(quaternion: Float[Tensor, "*n 4"], reference: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
     """Return the one of q and -q (the same rotation) that is nearer to the reference.
 

@@ -11,13 +11,14 @@ from hfb.body.model import PosedBody
 from hfb.body.skeleton import H36M_14, JOINT_NAMES
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
-from hfb.geometry.rotations import axis_angle_to_matrix, geodesic_angle, matrix_to_axis_angle
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.keypoint_registration import register_keypoints
 from hfb.initialization.limb_angles import kabsch, rotations_from_joints
 from hfb.initialization.point_registration import Registered, register_joints, register_vertices
 from hfb.initialization.pose_bank import bank_rotations
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Tensor
+from tests.angles import angle_between
 
 BODY = load_default_body()
 COCO = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -56,10 +57,10 @@ def test_kabsch_finds_a_turn_and_invents_no_twist() -> None:
     rest = torch.randn(1, 5, 3, generator=torch.Generator().manual_seed(0))
     turn = axis_angle_to_matrix(torch.tensor([[0.3, -2.0, 0.7]]))
     found = kabsch(rest, rest @ turn.transpose(1, 2), torch.ones(1, 5))
-    assert float(geodesic_angle(found, turn)) < 1e-3
+    assert float(angle_between(found, turn)) < 1e-3
     alone = kabsch(torch.tensor([[[1.0, 0, 0]]]), torch.tensor([[[0.0, 2.0, 0]]]), torch.ones(1, 1))
     quarter = axis_angle_to_matrix(torch.tensor([[0, 0, np.pi / 2]]).float())
-    assert float(geodesic_angle(alone, quarter)) < 1e-3
+    assert float(angle_between(alone, quarter)) < 1e-3
 
 
 def test_exact_joints_give_exact_bones() -> None:
@@ -80,7 +81,7 @@ def test_a_bent_elbow_tells_the_twist_of_the_upper_arm() -> None:
     true = axis_angle_to_matrix(pose)
     joints = BODY.shape(torch.zeros(10)).joints_of(true, torch.zeros(1, 3))
     found = rotations_from_joints(joints, BODY.rest_joints(torch.zeros(10)), torch.eye(3).expand(24, 3, 3))
-    assert float(geodesic_angle(found[0, shoulder], true[0, shoulder])) < 0.15
+    assert float(angle_between(found[0, shoulder], true[0, shoulder])) < 0.15
 
 
 def test_joints_with_ten_millimetres_of_noise() -> None:
@@ -130,7 +131,7 @@ def test_angles_are_those_of_the_start_s_frame() -> None:
     one = register_joints(true.posed.joints.double().numpy(), BODY, true.betas)
     other = register_joints((true.posed.joints @ turn.T).double().numpy(), BODY, true.betas)
     turned = matrix_to_axis_angle(turn @ axis_angle_to_matrix(one.poses[:, 0]))
-    assert float(geodesic_angle(axis_angle_to_matrix(turned), axis_angle_to_matrix(other.poses[:, 0])).max()) < 0.05
+    assert float(angle_between(axis_angle_to_matrix(turned), axis_angle_to_matrix(other.poses[:, 0])).max()) < 0.05
 
 
 def test_keypoints_of_a_picture() -> None:
@@ -147,7 +148,7 @@ def test_keypoints_of_a_picture() -> None:
     true = someone.posed.joints
     off_mm = 1000 * ((joints - joints[:, :1]) - (true - true[:, :1])).norm(dim=-1).mean(1)
     assert float(off_mm.median()) < 140  # 116 over forty; the mean pose upright and facing the camera has 280
-    facing = geodesic_angle(axis_angle_to_matrix(found.poses[:, 0]), someone.rotations[:, 0]).rad2deg()
+    facing = angle_between(axis_angle_to_matrix(found.poses[:, 0]), someone.rotations[:, 0]).rad2deg()
     assert float(facing.quantile(0.8)) < 45
 
 

@@ -10,12 +10,13 @@ from hfb.body.assets import load_default_body
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rays import between_rays, seen_along
-from hfb.geometry.rotations import axis_angle_to_matrix, geodesic_angle, matrix_to_axis_angle
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.silhouette_fit import matte_level, overlap, silhouette
 from hfb.interop.readers.pose_track import PoseTrack, pinhole
 from hfb.interop.track_bodies import body_at, on_matte
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
+from tests.angles import angle_between
 from tests.scenes import standing_pose
 
 BODY = load_default_body()
@@ -57,7 +58,7 @@ def test_a_body_whose_turn_is_unknown_is_turned() -> None:
     lost = replace(walker(-0.7), translation=NOWHERE)
     found = on_matte(lost, False, matte, CAMERA, BODY, RASTERIZER)
     assert overlap(found, matte_level(matte, CAMERA, 96), BODY, RASTERIZER) > 0.75
-    angle = geodesic_angle(axis_angle_to_matrix(found.pose[0]), axis_angle_to_matrix(true.pose[0]))
+    angle = angle_between(axis_angle_to_matrix(found.pose[0]), axis_angle_to_matrix(true.pose[0]))
     assert float(angle) < 0.6
     with pytest.raises(InputError):
         on_matte(lost, False, np.zeros((160, 200), np.float32), CAMERA, BODY, RASTERIZER)
@@ -85,7 +86,7 @@ def test_a_far_camera_at_the_pictures_edge() -> None:
     wanted = far @ place[0] / place[0, 2]
     assert float((CAMERA.project(pelvis) - torch.from_numpy(wanted[:2]).float()).norm()) < 0.1
     ray = torch.atan2(pelvis[0], pelvis[2]) - np.arctan(place[0, 0] / place[0, 2])
-    turn = geodesic_angle(axis_angle_to_matrix(found.pose[0]), axis_angle_to_matrix(true.pose[0]))
+    turn = angle_between(axis_angle_to_matrix(found.pose[0]), axis_angle_to_matrix(true.pose[0]))
     assert float(turn) == pytest.approx(float(ray.abs()), abs=0.03)
     assert body_at(track, 4, CAMERA, BODY) is None
     with pytest.raises(InputError, match="behind its camera"):

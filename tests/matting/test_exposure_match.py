@@ -8,11 +8,12 @@ import pytest
 
 from hfb.datasets.example import write_example
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.io.media.video.video_reading import average_frames, read_frames
+from hfb.io.media.video.video_reading import read_frames
 from hfb.matting.exposure_match import NO_GAIN, Gain, describe_gains, frame_gain, in_plate_exposure
 from hfb.matting.network import NetworkMatting
 from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import composite, generated_plate, seen
+from tests.shared import average_frames
 
 GAINS: tuple[Gain, ...] = ((1.25,) * 3, (0.8,) * 3, (1.1, 1, 0.9), (1.06,) * 3, (0.6,) * 3, (1.7,) * 3)
 

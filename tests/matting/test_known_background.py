@@ -8,11 +8,12 @@ import pytest
 from hfb.config import MattingConfig
 from hfb.errors import InputError
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.io.media.video.video_reading import average_frames, read_frames
+from hfb.io.media.video.video_reading import read_frames
 from hfb.matting.matting_protocol import KnownBackground, matte_region, shrink
 from hfb.matting.methods import make_matting
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from tests.matting.silhouettes import Composite, composite, generated_plate
+from tests.shared import average_frames
 
 matting = make_matting(MattingConfig())
 projection = KnownBackground()  # what test_network.py says of the network holds of it, too

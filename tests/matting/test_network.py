@@ -15,7 +15,7 @@ from hfb.datasets.example import write_example
 from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.io.media.video.video_reading import average_frames, read_frames
+from hfb.io.media.video.video_reading import read_frames
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
 from hfb.matting.matting_protocol import KnownBackground, Matting, matte_region, shrink
 from hfb.matting.methods import make_matting
@@ -24,6 +24,7 @@ from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import composite, generated_plate
+from tests.shared import average_frames
 
 matting = make_matting(MattingConfig(method="network"))
 

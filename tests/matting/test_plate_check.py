@@ -9,11 +9,12 @@ import pytest
 
 from hfb.datasets.example import write_example
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.io.media.video.video_reading import average_frames, read_frames
+from hfb.io.media.video.video_reading import read_frames
 from hfb.matting.plate_check import find_plate_mismatch
 from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import Composite, composite, generated_plate, seen
 from tests.matting.test_alignment import moved
+from tests.shared import average_frames
 
 
 def photograph(shared_data: Path, number: int) -> Composite:

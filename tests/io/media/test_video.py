@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hfb.errors import InputError
-from hfb.io.media.video.video_reading import average_frames, median_plate, read_frames
+from hfb.io.media.video.video_reading import median_plate, read_frames
 
 
 def _write_video(path: Path, frames: list[np.ndarray], codec: str = "libx264", pixels: str = "yuv444p") -> None:
@@ -39,15 +39,6 @@ def test_frames_are_the_ones_asked_for(clip: Path) -> None:
     assert np.allclose(levels, [30, 40, 50, 60], atol=1.5)
     assert len(list(read_frames(clip))) == 12
     assert len(list(read_frames(clip, 10, 99))) == 2
-
-
-def test_average_is_of_light() -> None:
-    black, white = np.zeros((2, 2, 3), np.float32), np.ones((2, 2, 3), np.float32)
-    assert np.allclose(average_frames([black, white]), 0.5)
-    gray = np.full((2, 2, 3), 0.5, np.float32)
-    assert np.allclose(average_frames([gray]), 0.21404, atol=1e-4)
-    with pytest.raises(InputError, match="no frame"):
-        average_frames([])
 
 
 def test_plate_removes_what_moves_in_any_memory(clip: Path) -> None:

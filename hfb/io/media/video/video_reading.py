@@ -3,7 +3,7 @@
 Frames stream: nothing here ever holds a whole video. `stop` is exclusive, frames count from 0.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import av
@@ -14,7 +14,6 @@ from hfb.io.media.video.clean_aperture import clean_aperture
 from hfb.io.media.video.video_colours import refuse_hdr, stated_colours
 from hfb.io.media.video.video_file import open_video, video_stream
 from hfb.io.media.video.video_pixels import pixel_aspect, upright, zero_to_one
-from hfb.photometry import srgb_to_linear
 from hfb.typing import Array, Float, Shaped
 
 PLATE_BYTES = 256 << 20
@@ -34,22 +33,6 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
     """
     for frame in _read_levels(Path(path), start, stop):
         yield zero_to_one(frame)
-
-
-def average_frames(frames_srgb: Iterable[Float[Array, "H W 3"]]) -> Float[Array, "H W 3"]:
-    """Return one long exposure: the mean of the frames' linear light (not of their sRGB values).
-
-    Args:
-        frames_srgb: in [0, 1].
-    """
-    total, count = None, 0
-    for frame in frames_srgb:
-        linear = srgb_to_linear(frame)
-        total = linear.astype(np.float64) if total is None else total + linear
-        count += 1
-    if total is None:
-        raise InputError("there is no frame to average; choose a range that lies inside the video.")
-    return (total / count).astype(np.float32)
 
 
 def median_plate(path: Path, frames: Sequence[int], memory_bytes: int = PLATE_BYTES) -> Float[Array, "H W 3"]:
