@@ -17,6 +17,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -65,6 +66,7 @@ _EXAMPLES = {
 
 _told_to_end: list[int] = []  # the exit code of a signal that came
 _ENDS_WITHIN_S = 60.0
+_ONCE_MORE_S = 0.1
 _last_resorts: list[threading.Timer] = []
 
 
@@ -80,6 +82,7 @@ def main(arguments: list[str] | None = None) -> int:
     at_interrupt = signal.getsignal(signal.SIGINT)
     if at_interrupt is signal.default_int_handler:  # and not ignored, as in the background of a shell
         signal.signal(signal.SIGINT, _interrupt)
+    shown, sys.unraisablehook = sys.unraisablehook, partial(_send_again, sys.unraisablehook)
     try:
         args = _parse(words)
         check_home()
@@ -104,6 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
             return _told_to_end[0]
         return _complain(_unexpected(error), as_json, _FAILED)
     finally:
+        sys.unraisablehook = shown
         if at_interrupt is signal.default_int_handler:
             signal.signal(signal.SIGINT, at_interrupt)
         while _last_resorts:
@@ -346,6 +350,18 @@ def _end_orderly(signum: int, _frame: object) -> NoReturn:
 def _interrupt(_signum: int, _frame: object) -> NoReturn:
     _end_at_last(_INTERRUPTED)
     raise KeyboardInterrupt
+
+
+def _send_again(show: Callable[[sys.UnraisableHookArgs], object], lost: sys.UnraisableHookArgs) -> None:
+    """Send a signal once more whose exception Python ignored.
+
+    It ignores what is raised within `__del__`, such as llvmlite's while kernels are loaded: the run went on for ever.
+    """
+    names = {"KeyboardInterrupt": signal.SIGINT, "SystemExit": signal.SIGTERM, "TerminationSignal": signal.SIGTERM}
+    if (number := names.get(lost.exc_type.__name__)) is None:
+        show(lost)
+    else:  # from another thread: within this hook it would be ignored again
+        threading.Timer(_ONCE_MORE_S, os.kill, (os.getpid(), number)).start()
 
 
 def _end_at_last(code: int) -> None:

@@ -192,101 +192,80 @@ def fit_all(
     schedule = _Schedule(body, config, seed, pose_prior, motion_prior or load_motion_prior(None), tuple(own_terms))
     if own_terms and schedule.batched:
         raise InputError("extra terms are computed on the processor only: take the rasterizer cpu")
+    groups = [problems] if schedule.batched else [[one] for one in problems]
     with one_torch_thread():
-        if schedule.batched:
-            results = _fit_batch(problems, schedule, on_progress, batch_size)
-        else:
-            results = [_fit_one(one, schedule, on_progress) for one in problems]
+        results = [one for group in groups for one in _fit_together(group, schedule, on_progress, batch_size)]
     return [replace(one, seconds=(time.perf_counter() - started) / len(problems)) for one in results]
 
 
-def _fit_one(problem: Problem, schedule: "_Schedule", on_progress: Progress | None) -> FitResult:
-    config = schedule.config
-    iterations = sum(stage.iterations for stage in image_stages(config))
-    clock = StageClock(iterations * (1 if problem.other_front is None else 2), on_progress)
-    fitted = _run_to_end(problem, schedule, clock)
-    other = None
-    if problem.other_front is not None:
+def _fit_together(
+    problems: Sequence[Problem], schedule: "_Schedule", on_progress: Progress | None, batch_size: int
+) -> list[FitResult]:
+    """Fit one problem, or a batch; the other front of the doubtful ones only as far as that is needed."""
+    run = _run_batch if schedule.batched else _run_one
+    doubtful = [place for place, one in enumerate(problems) if one.other_front is not None]
+    iterations = sum(stage.iterations for stage in image_stages(schedule.config))
+    clock = StageClock(iterations * (2 if doubtful else 1), on_progress)
+    fitted = run(problems, schedule, clock, batch_size)
+    others: list[_Fitted | None] = [None] * len(problems)
+    if doubtful:
         with clock.stage("other_front"):
-            mirrored = problem.mirrored()
-            other = _run_to_end(mirrored, schedule, clock.inner("other front: "), only_first=True)
-            if not schedule.clearly_as_found(fitted, other):
-                other = _run_to_end(mirrored, schedule, clock.inner("other front: "))
+            only_first = True
+            while doubtful:
+                mirrored = [problems[place].mirrored() for place in doubtful]
+                found = run(mirrored, schedule, clock.inner("other front: "), batch_size, only_first)
+                for place, one in zip(doubtful, found, strict=True):
+                    others[place] = one
+                doubtful = [one for one in doubtful if only_first and schedule.needs_more(fitted[one], others[one])]
+                only_first = False
         clock.skip(iterations)
     with clock.stage("directions"):
-        result = schedule.finish(fitted, other)
-    return replace(result, stage_seconds=clock.seconds)
+        results = schedule.finish_all(fitted, others)
+    return [replace(one, stage_seconds=clock.seconds) for one in results]
 
 
-def _run_to_end(problem: Problem, schedule: "_Schedule", clock: StageClock, only_first: bool = False) -> "_Fitted":
+def _run_one(
+    problems: Sequence[Problem], schedule: "_Schedule", clock: StageClock, _batch_size: int, only_first: bool = False
+) -> list["_Fitted"]:
     """Everything up to the last image stage, or to the first."""
     config = schedule.config
     with clock.stage("evidence"):
-        start = schedule.start(problem)
+        (start,) = map(schedule.start, problems)
     if config.settle > 0:
         with clock.stage("warm_up"):
             fit_skeleton(start.variables, start.objective, config)
     count = 1 if only_first else None
-    return _Fitted(start, run_stages(start.variables, start.initial, start.objective, config, clock, count), only_first)
+    stages = run_stages(start.variables, start.initial, start.objective, config, clock, count)
+    return [_Fitted(start, stages, only_first)]
 
 
-def _fit_batch(
-    problems: Sequence[Problem], schedule: "_Schedule", on_progress: Progress | None, batch_size: int
-) -> list[FitResult]:
+def _run_batch(
+    problems: Sequence[Problem], schedule: "_Schedule", clock: StageClock, batch_size: int, only_first: bool = False
+) -> list["_Fitted"]:
+    """As `_run_one`, of problems that go together on a device."""
     kinds = {(len(one.first_bodies), *one.observation.timing, one.identity is None) for one in problems}
     if len(kinds) > 1:
         told = sorted(map(str, kinds))
         raise ValueError(f"fits of several kinds (frames, exposure, interval, row clock, nobody known): {told}")
-    from hfb.fitting.batched import map_threads
+    from hfb.fitting.batched import Batch, fit_skeletons, ignore_graph_warning, map_threads, run_batched_stages
 
     config = schedule.config
-    doubtful = [place for place, one in enumerate(problems) if one.other_front is not None]
-    iterations = sum(stage.iterations for stage in image_stages(config))
-    clock = StageClock(iterations * (2 if doubtful else 1), on_progress)
+    rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
+    with clock.stage("evidence"):
+        starts = map_threads(schedule.start, problems)
+    parts = ([one.variables for one in starts], [one.initial for one in starts], [one.objective for one in starts])
     try:
-        fitted = _run_batch_to_end(problems, schedule, clock, batch_size)
-        others: list[_Fitted | None] = [None] * len(problems)
-        if doubtful:
-            with clock.stage("other_front"):
-                for only_first in (True, False):
-                    mirrored, inner = [problems[place].mirrored() for place in doubtful], clock.inner("other front: ")
-                    found = _run_batch_to_end(mirrored, schedule, inner, batch_size, only_first) if doubtful else []
-                    for place, one in zip(doubtful, found, strict=True):
-                        others[place] = one
-                    doubtful = [one for one in doubtful if not schedule.clearly_as_found(fitted[one], others[one])]
-            clock.skip(iterations)
+        batch = Batch(*parts, config, rasterizer, batch_size)
+        with ignore_graph_warning():
+            if config.settle > 0:
+                with clock.stage("warm_up"):
+                    fit_skeletons(batch)
+            stages = run_batched_stages(batch, clock, 1 if only_first else None)
     except torch.OutOfMemoryError as error:
         raise InputError(
             f"the GPU's memory is too small for {max(batch_size, len(problems))} fits at once: give a smaller "
             "--fit.batch-size, or take --fit.rasterizer cpu"
         ) from error
-    with clock.stage("directions"):
-        results = map_threads(schedule.finish, fitted, others)
-    return [replace(one, stage_seconds=clock.seconds) for one in results]
-
-
-def _run_batch_to_end(
-    problems: Sequence[Problem], schedule: "_Schedule", clock: StageClock, batch_size: int, only_first: bool = False
-) -> list["_Fitted"]:
-    config = schedule.config
-    rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
-    from hfb.fitting.batched import Batch, fit_skeletons, ignore_graph_warning, map_threads, run_batched_stages
-
-    with clock.stage("evidence"):
-        starts = map_threads(schedule.start, problems)
-    batch = Batch(
-        [one.variables for one in starts],
-        [one.initial for one in starts],
-        [one.objective for one in starts],
-        config,
-        rasterizer,
-        batch_size,
-    )
-    with ignore_graph_warning():
-        if config.settle > 0:
-            with clock.stage("warm_up"):
-                fit_skeletons(batch)
-        stages = run_batched_stages(batch, clock, 1 if only_first else None)
     return [_Fitted(start, one, only_first) for start, one in zip(starts, stages, strict=True)]
 
 
@@ -399,8 +378,21 @@ class _Schedule:
             alternatives = replace(alternatives, other_front=front.as_alternative())
         return replace(result, front=front, alternatives=alternatives)
 
-    def clearly_as_found(self, fitted: _Fitted, other: _Fitted | None) -> bool:
-        """Whether the first stage of the other front leaves no need to fit the rest of it.
+    def finish_all(self, fitted: list[_Fitted], others: list[_Fitted | None]) -> list[FitResult]:
+        """Finish fits that ran together, see `finish`.
+
+        Args:
+            fitted: from the first bodies as found.
+            others: from the other fronts, where they were fitted.
+        """
+        if not self.batched:
+            return list(map(self.finish, fitted, others))
+        from hfb.fitting.batched import map_threads
+
+        return map_threads(self.finish, fitted, others)
+
+    def needs_more(self, fitted: _Fitted, other: _Fitted | None) -> bool:
+        """Whether the first stage of the other front leaves it open which is right.
 
         Args:
             fitted: from the first bodies as found.
@@ -409,7 +401,7 @@ class _Schedule:
         turned = fitted.start.problem.other_front
         assert turned is not None
         assert other is not None
-        return not turned.to_the_end and _front_odds(fitted, other)[1] > CLEAR_LOG_ODDS
+        return turned.to_the_end or _front_odds(fitted, other)[1] <= CLEAR_LOG_ODDS
 
     def _complete(self, fitted: _Fitted) -> FitResult:
         start, stages = fitted.start, fitted.stages

@@ -99,6 +99,40 @@ sys.exit(cli.main([]))
 """
 
 
+IGNORED = """
+import argparse, contextlib, os, sys, time
+from prefect.utilities.engine import capture_sigterm
+from hfb.flows.cli import cli
+
+class Module:
+    def __del__(self):
+        os.kill(os.getpid(), number)
+        time.sleep(5)
+
+def loads_kernels(given):
+    with capture_sigterm() if where == "flow" else contextlib.nullcontext():
+        Module()
+        for _ in range(300):
+            time.sleep(0.1)
+
+number, where = int(sys.argv[1]), sys.argv[2]
+cli._parse = lambda words: argparse.Namespace(run=loads_kernels)
+sys.exit(cli.main([]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("sent", "where", "code"),
+    [(signal.SIGINT, "command", 130), (signal.SIGTERM, "command", 143), (signal.SIGTERM, "flow", 143)],
+)
+def test_a_signal_that_python_ignores_is_sent_again(sent: int, where: str, code: int) -> None:
+    """What a signal raises within `__del__` is ignored; kernels that are loaded free modules of llvmlite so."""
+    words = [sys.executable, "-c", IGNORED, str(int(sent)), where]
+    ended = subprocess.run(words, stderr=subprocess.PIPE, text=True, timeout=25, check=False)
+    assert ended.returncode == code, ended.stderr
+    assert "ignored" not in ended.stderr
+
+
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "TERM"])
 def test_a_command_that_cannot_end_is_ended(sent: int, code: int) -> None:
     """A library's lock, taken when the signal came, is waited for by whoever tidies up."""

@@ -3,6 +3,8 @@
 The readable formulas they are tested against are in `hfb.body.skinning`.
 """
 
+from typing import Any
+
 from hfb.kernels.body import body_blend as kernels_blend
 from hfb.kernels.body import body_skinning as kernels_skinning
 from hfb.kernels.simd import LANES
@@ -119,14 +121,7 @@ def place_joints_gradient(
 
 
 @place_joints_gradient.register_fake
-def _(
-    rotations: Tensor,
-    rest_joints: Tensor,
-    parents: Tensor,
-    transforms: Tensor,
-    of_transforms: Tensor,
-    of_joints: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:
+def _(rotations: Tensor, rest_joints: Tensor, *_: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     of_translations = rotations.new_empty(rotations.shape[0], 3)
     return rotations.new_empty(rotations.shape), of_translations, rest_joints.new_empty(rest_joints.shape)
 
@@ -193,16 +188,8 @@ def skin_gradient(
 
 
 @skin_gradient.register_fake
-def _(
-    transforms: Tensor,
-    rest: Tensor,
-    starts: Tensor,
-    joints: Tensor,
-    weights: Tensor,
-    grad_output: Tensor,
-    wants_rest: bool,
-) -> tuple[Tensor, Tensor]:
-    return transforms.new_empty(transforms.shape), rest.new_empty(rest.shape if wants_rest else (0, 3))
+def _(transforms: Tensor, rest: Tensor, *others: Any) -> tuple[Tensor, Tensor]:
+    return transforms.new_empty(transforms.shape), rest.new_empty(rest.shape if others[-1] else (0, 3))
 
 
 def _keep_skin(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
@@ -254,16 +241,7 @@ def blend_and_skin(
 
 
 @blend_and_skin.register_fake
-def _(
-    transforms: Tensor,
-    rotations: Tensor,
-    rest: Tensor,
-    directions: Tensor,
-    steps: Tensor,
-    starts: Tensor,
-    joints: Tensor,
-    weights: Tensor,
-) -> tuple[Tensor, Tensor]:
+def _(transforms: Tensor, _rotations: Tensor, rest: Tensor, *_: Tensor) -> tuple[Tensor, Tensor]:
     return rest.new_empty(transforms.shape[0], *rest.shape), rest.new_empty(_kept(transforms, rest))
 
 
@@ -299,18 +277,9 @@ def blend_and_skin_gradient(
 
 
 @blend_and_skin_gradient.register_fake
-def _(
-    transforms: Tensor,
-    directions: Tensor,
-    steps: Tensor,
-    starts: Tensor,
-    joints: Tensor,
-    weights: Tensor,
-    points: Tensor,
-    grad_output: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:
+def _(transforms: Tensor, *others: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     of_rotations = transforms.new_empty(*transforms.shape[:2], 3, 3)
-    return transforms.new_empty(transforms.shape), of_rotations, transforms.new_empty(grad_output.shape[1:])
+    return transforms.new_empty(transforms.shape), of_rotations, transforms.new_empty(others[-1].shape[1:])
 
 
 def _keep_blend(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]

@@ -3,6 +3,8 @@
 As operators they work with autograd, torch.compile and export.
 """
 
+from typing import Any
+
 from hfb.kernels.motion import motion_boundary as kernels_boundary
 from hfb.kernels.motion import motion_curve as kernels
 from hfb.kernels.motion import motion_rotation as kernels_rotation
@@ -54,9 +56,7 @@ def move_gradient(
 
 
 @move_gradient.register_fake
-def _(
-    rotation: Tensor, translation: Tensor, clock: Tensor, of_matrices: Tensor, of_path: Tensor, origin: float
-) -> tuple[Tensor, Tensor]:
+def _(rotation: Tensor, translation: Tensor, *_: Any) -> tuple[Tensor, Tensor]:
     return rotation.new_empty(rotation.shape), translation.new_empty(translation.shape)
 
 

@@ -225,19 +225,8 @@ def _block(parts: Sequence[Any]) -> Block:
 
 
 @draw_gradient.register_fake
-def _(
-    of_pictures: Tensor,
-    vertices: Tensor,
-    uv: Tensor,
-    topology: Sequence[Tensor],
-    lens: Sequence[float],
-    soft: Sequence[float],
-    mean: bool,
-    kept: Sequence[Tensor],
-    of_vertices: bool,
-    of_texture: bool,
-    threads: int,
-) -> tuple[Tensor, Tensor]:
+def _(_of_pictures: Tensor, vertices: Tensor, *others: Any) -> tuple[Tensor, Tensor]:
+    *_, kept, of_vertices, of_texture, _threads = others
     gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(len(vertices), 0, 3)
     side = kept[0].shape[0] if of_texture else 0
     return gradient, vertices.new_empty(side, side, 3)

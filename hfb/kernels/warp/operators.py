@@ -7,6 +7,7 @@ Tensors are passed without copies, on the caller's stream. Every result has the 
 import threading
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import torch
 import warp as wp
@@ -210,17 +211,8 @@ def draw_by_warp_gradient(
 
 
 @draw_by_warp_gradient.register_fake
-def _(
-    of_pictures: Tensor,
-    vertices: Tensor,
-    textures: Tensor,
-    uv: Tensor,
-    topology: Sequence[Tensor],
-    lenses: Tensor,
-    kept: Sequence[Tensor],
-    of_vertices: bool,
-    of_textures: bool,
-) -> tuple[Tensor, Tensor]:
+def _(_of_pictures: Tensor, vertices: Tensor, textures: Tensor, *others: Any) -> tuple[Tensor, Tensor]:
+    *_, of_vertices, of_textures = others
     gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(len(vertices), 0, 3)
     return gradient, torch.empty_like(textures) if of_textures else textures.new_empty(1, 0, 0, 3)
 
