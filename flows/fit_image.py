@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +12,11 @@ from hfb.datasets.example import write_example
 from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.interop.writers.export_names import RECORD, REPORT
 from hfb.io.safe_folder import check_tree
-from hfb.tasks.chains.image_chain import ImageFit, fit_images
-from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.chains.image_chain import fit_images
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import Inputs, take_inputs, with_height
 from hfb.tasks.results.exports import export_motion
-from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, write_report
+from hfb.tasks.results.result_report import ReportParts, add_report, film_beside, write_report
 from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -76,10 +73,8 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     config, began_ms = with_height(config, inputs.clip), time.time_ns() // 1_000_000
     with workspace(out) as folder, records_in(folder):
         fit = fit_images(inputs, config, folder)
-        with ThreadPoolExecutor(1, "hfb-page-film") as beside:
-            drawn = beside.submit(copy_context().run, _page_film, fit, config, folder)
+        with film_beside(fit.shot, config.export, folder) as page_film:
             exports = export_motion(fit.shot, fit.fitted.texture_image, config.export, folder)
-            page_film = drawn.result()
         result = fit.facts() | {
             **exports.facts(),
             "out": str(out.resolve()),
@@ -97,16 +92,12 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
                 f"not recorded in MLflow ({lost}): the result itself is complete; `hfb record {out}` records it "
                 "when MLflow is back"
             )
-        if page_film is not None:
-            parts = ReportParts.among(files, page_film, inputs.body)
+        if config.export.report:
+            parts = ReportParts.among(files, page_film.result(), inputs.body)
             files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
     return result
-
-
-def _page_film(fit: ImageFit, config: RunConfig, folder: Path) -> FileHandle | None:
-    return draw_page_film(fit.shot, folder) if config.export.report else None
 
 
 _EXAMPLE = "example"

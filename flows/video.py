@@ -19,7 +19,7 @@ from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import with_height
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.results.exports import export_motion
-from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, write_report
+from hfb.tasks.results.result_report import ReportParts, add_report, film_beside, write_report
 from hfb.tasks.results.workspace import publish, workspace
 from hfb.tasks.tracking.video_record import ClipRecord
 from hfb.tasks.workers.engine import Engine
@@ -64,7 +64,8 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
     record = ClipRecord(out.resolve().name, inputs, config)
     try:
         fit = fit_clip(inputs, config, folder, look=ServerWatch().look, on_values=record.frames)
-        exports = export_motion(fit.shot, fit.texture, config.export, folder)
+        with film_beside(fit.shot, config.export, folder) as page_film:
+            exports = export_motion(fit.shot, fit.texture, config.export, folder)
         files = fit.files() | exports.by_name()
         result = fit.facts() | {
             **exports.facts(),
@@ -81,7 +82,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         else:
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
         if config.export.report:
-            parts = ReportParts.among(files, draw_page_film(fit.shot, folder), inputs.body)
+            parts = ReportParts.among(files, page_film.result(), inputs.body)
             files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)

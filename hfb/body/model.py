@@ -208,9 +208,7 @@ class ShapedBody:
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
     ) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
         """Return transforms of the rest body to the world, and the joints."""
-        if compiled(rotations):
-            return operators.place_joints(rotations, translations, self.joints, PARENT_TABLE)
-        return skinning.place_joints(rotations, translations, self.joints)
+        return placed(rotations, translations, self.joints)
 
     def _skinned(
         self, T_world_rest: Float[Tensor, "S 24 3 4"], rotations: Float[Tensor, "S 24 3 3"]
@@ -241,3 +239,18 @@ def _weighed(directions: Float[Tensor, "*n K"], betas: Float[Tensor, "K"]) -> Fl
     if betas.device.type == "cpu" and not compiled(betas):
         return (directions * betas).sum(-1)
     return directions @ betas
+
+
+def placed(
+    rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"], rest_joints: Float[Tensor, "24 3"]
+) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
+    """Return transforms of the rest body to the world, and the posed joints [m].
+
+    Args:
+        rotations: rotations of each joint in its parent's frame.
+        translations: SMPL's [m].
+        rest_joints: joints of the rest pose [m].
+    """
+    if compiled(rotations):
+        return operators.place_joints(rotations, translations, rest_joints, PARENT_TABLE)
+    return skinning.place_joints(rotations, translations, rest_joints)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import torch
 
-from hfb.body.model import Body, ShapedBody
-from hfb.body.skeleton import JOINT_NAMES, PARENTS
+from hfb.body.model import Body, ShapedBody, placed
+from hfb.body.skeleton import JOINT_NAMES
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.procrustes import nearest_rotations
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
@@ -254,8 +254,5 @@ def follow_chain(
         rotations: rotations of every joint in its parent's frame.
         translation: translation of the body [m].
     """
-    places, turns = [rest[0] + translation], [rotations[0]]
-    for joint, parent in enumerate(PARENTS[1:], start=1):
-        places.append(places[parent] + turns[parent] @ (rest[joint] - rest[parent]))
-        turns.append(turns[parent] @ rotations[joint])
-    return torch.stack(places), torch.stack(turns)
+    transforms, joints = placed(rotations[None], translation[None], rest)
+    return joints[0], transforms[0, :, :, :3]

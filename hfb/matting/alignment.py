@@ -20,7 +20,8 @@ _LEVELS_PX = (160, 320, 640)
 _ROUNDS = 8
 _SETTLED_PX = 0.001
 _DEGREE, _FINEST_DEGREE = 3, 5  # of splines
-_LEAST_PX = 0.02
+_LEAST_PX = 0.04
+"""Smallest movement that is mended, in an image of 640 px; half of that size tells it to a hundredth of a pixel."""
 MOST_PX = 4.0
 """Largest movement of a plate, in an image of 640 px."""
 _LEAST_GAIN = 0.04  # by which the differences at edges must fall
@@ -110,6 +111,8 @@ def find_movement(
     movement = _NONE
     frame, plate = _gray(frame_linear), _gray(plate_linear)
     for longer_px in _LEVELS_PX:
+        if longer_px == _LEVELS_PX[-1] and movement.farthest_px(*frame.shape) < _LEAST_PX:
+            return None
         small = [_shrunk(one, longer_px) for one in (frame, plate)]
         if longer_px == _LEVELS_PX[0] or max(frame.shape) > longer_px / 2:
             movement = _improved(movement, small[0], small[1], most_px)

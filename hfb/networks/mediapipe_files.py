@@ -6,6 +6,7 @@ They are not part of this project: `hfb models fetch` downloads them (see `hfb.n
 import hashlib
 import os
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -136,10 +137,16 @@ def list_networks() -> list[NetworkStatus]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the sha256 of a file's content. Raises OSError.
+    """Return the sha256 of a file's content, which is read again only once the file has changed. Raises OSError.
 
     Args:
         path: the file.
     """
+    status = path.stat()
+    return _sha256(path, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=16)
+def _sha256(path: Path, *_status: int) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -94,6 +94,17 @@ def _tables(dtype: torch.dtype, device: torch.device) -> _Tables:
     return _Tables(torch.tensor(orders, device=device), angles.to(device))
 
 
+@lru_cache
+def _limits_alone(device: torch.device) -> _Tables:
+    """Return tables in which no pose is more natural than another: a spread without end."""
+    tables = _tables(torch.float64, device)
+    return _Tables(tables.order, torch.cat([tables.angles[:3], torch.full_like(tables.angles[3:], torch.inf)]))
+
+
+def _by_kernel(axis_angle: Float[Tensor, "S 23 3"], tables: _Tables) -> Float[Tensor, "S"]:
+    return anatomy(axis_angle, tables.order, tables.angles, radians(_LIMIT_SCALE_DEG))[0]
+
+
 def twist_swing(
     axis_angle: Float[Tensor, "*n J 3"], order: Int[Tensor, "J 3"], epsilon: float = 1e-12
 ) -> Float[Tensor, "*n J 3"]:
@@ -136,10 +147,9 @@ class AnatomicalPrior:
 
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """Return the sum of both parts; see `PosePrior`."""
-        if compiled(axis_angle):
-            tables = _tables(torch.float64, axis_angle.device)
-            return anatomy(axis_angle, tables.order, tables.angles, radians(_LIMIT_SCALE_DEG))[0]
-        return self.readable(axis_angle)
+        if not compiled(axis_angle):
+            return self.readable(axis_angle)
+        return _by_kernel(axis_angle, _tables(torch.float64, axis_angle.device))
 
     def readable(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """Evaluate the prior in plain torch: the reference of the compiled operator, and for other devices.
@@ -160,6 +170,8 @@ class AnatomicalPrior:
         Args:
             axis_angle: joints below the root [rad].
         """
+        if compiled(axis_angle):
+            return _by_kernel(axis_angle, _limits_alone(axis_angle.device))
         tables = _tables(axis_angle.dtype, axis_angle.device)
         return (_excess(twist_swing(axis_angle, tables.order), tables) ** 2).sum((1, 2)) / 2
 

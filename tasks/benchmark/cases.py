@@ -20,7 +20,7 @@ from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, digest
 from hfb.tasks.image.matte import matte
 from hfb.tasks.image.prepare import prepare
 from hfb.tasks.inputs.given_networks import check_networks, shade_networks
-from hfb.tasks.task import task
+from hfb.tasks.task import task, without_prefect
 from hfb.tasks.telemetry import progress
 
 Spec = SetSpec | RealSpec
@@ -249,21 +249,8 @@ def _starts(
         if missing:
             raise InputError(f"{case.folder} has no {missing[0]}: real video is started with --start estimated")
         return tuple(FileHandle.of(path) for path in case.start_paths())
-    from hfb.tasks.image.first_body import first_body
-    from hfb.tasks.video.video_windows import mend_fronts
+    from hfb.tasks.chains.image_chain import estimate_bodies
 
-    numbers = tuple(range(case.frames))
-    firsts = tuple(
-        first_body.fn(
-            clip=clip,
-            index=index,
-            mattes=mattes,
-            body=call.body,
-            config=call.init,
-            networks=call.networks,
-            folder=folder,
-        )
-        for index in numbers
-    )
-    found = mend_fronts.fn(numbers, firsts, folder).firsts if len(firsts) > 1 else firsts
-    return tuple(FileHandle(path=one.path, sha256=one.sha256) for one in found if one is not None)
+    with without_prefect():
+        found = estimate_bodies(clip, mattes, body=call.body, config=call.init, networks=call.networks, folder=folder)
+    return tuple(FileHandle(path=one.path, sha256=one.sha256) for one in found)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hfb.config import RunConfig
+from hfb.config import InitConfig, RunConfig
 from hfb.evaluation.warnings import ResultWarning, check_front
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
@@ -223,6 +224,35 @@ def fit_images(inputs: Inputs, config: RunConfig, folder: Path) -> ImageFit:
     )
 
 
+def estimate_bodies(
+    scene: ClipHandle,
+    mattes: tuple[FileHandle, ...],
+    *,
+    body: FileHandle | None,
+    config: InitConfig,
+    networks: tuple[FileHandle, ...],
+    folder: Path,
+) -> tuple[FirstBodyHandle, ...]:
+    """Return one body per frame, consistent in front.
+
+    Args:
+        scene: all frames.
+        mattes: of all frames.
+        body: the user's body model; None for the embedded one.
+        config: options of the first bodies.
+        networks: the installed pose networks, or the user's own.
+        folder: of intermediate files.
+
+    Raises:
+        InputError: no person was found.
+    """
+    numbers = tuple(range(len(scene.frames)))
+    look = partial(first_body, clip=scene, mattes=mattes, body=body, config=config, networks=networks, folder=folder)
+    firsts = tuple(look(index=index) for index in numbers)
+    agreed = mend_fronts(numbers, firsts, folder).firsts if len(firsts) > 1 else firsts
+    return tuple(one for one in agreed if one is not None)
+
+
 def find_first_bodies(
     scene: ClipHandle,
     mattes: tuple[FileHandle, ...],
@@ -245,24 +275,12 @@ def find_first_bodies(
     """
     if inputs.first_bodies:
         return tuple(given_body(file) for file in inputs.first_bodies)
-    numbers = tuple(range(len(scene.frames)))
     own = caller_parts().initializer is not None
     if own or not inputs.init_files:
         tell_networks(() if own else inputs.networks)
-        firsts = tuple(
-            first_body(
-                clip=scene,
-                index=index,
-                mattes=mattes,
-                body=inputs.body,
-                config=config.init,
-                networks=inputs.networks,
-                folder=folder,
-            )
-            for index in numbers
+        return estimate_bodies(
+            scene, mattes, body=inputs.body, config=config.init, networks=inputs.networks, folder=folder
         )
-        agreed = mend_fronts(numbers, firsts, folder).firsts if len(firsts) > 1 else firsts
-        return tuple(one for one in agreed if one is not None)
     first = config.init.frame
     looks = tuple(Look(matte=one, frame=None if first is None else first + n) for n, one in enumerate(mattes))
     pictures = tuple(file.path.name for file in inputs.frames) if first is None else ()

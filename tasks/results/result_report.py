@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import copy_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hfb.config import Record
+from hfb.config import ExportConfig, Record
 from hfb.errors import InputError
 from hfb.interop.writers.export_names import CURVES, LINKED_FILES, PAGE_FILM, REPORT, RESULT
 from hfb.io.safe_folder import is_regular
@@ -104,7 +107,20 @@ def clip_curves(
     return _curves(folder, {"windows": found, "frames": {name: list(pairs) for name, pairs in scores.items()}})
 
 
-@task("report's film")
+@contextmanager
+def film_beside(shot: ShotHandle, config: ExportConfig, folder: Path) -> Iterator[Future[FileHandle | None]]:
+    """Draw the page's film, where a page is wanted, beside the work inside the block; it is there at the block's end.
+
+    Args:
+        shot: motion, body, plate and frames.
+        config: whether a page is wanted.
+        folder: where the film goes.
+    """
+    with ThreadPoolExecutor(1, "hfb-page-film") as beside:
+        yield beside.submit(copy_context().run, lambda: draw_page_film(shot, folder) if config.report else None)
+
+
+@task("report's film", where="worker")
 def draw_page_film(shot: ShotHandle, folder: Path) -> FileHandle:
     """Draw the small slow-motion film of the page.
 
