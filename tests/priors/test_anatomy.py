@@ -15,6 +15,7 @@ from hfb.geometry.rotations import (
     multiply_quaternions,
     quaternion_to_axis_angle,
 )
+from hfb.kernels.dispatch import readable_formulas
 from hfb.priors.anatomy import AnatomicalPrior, twist_swing
 from hfb.priors.pose import PosePrior
 from tests.shared import SHARED_DATA
@@ -98,6 +99,17 @@ def test_real_poses_are_within_the_limits():
     assert total.median() < 25
     scrambled = poses[:, torch.randperm(23, generator=torch.Generator().manual_seed(0))]
     assert PRIOR(scrambled).median() > 4 * total.median()
+
+
+def test_compiled_limits_are_the_readable_ones_with_their_gradient():
+    poses = torch.randn(40, 23, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    fast, readable = (poses.clone().requires_grad_() for _ in range(2))
+    PRIOR.limit_penalty(fast).sum().backward()
+    with readable_formulas():
+        expected = PRIOR.limit_penalty(readable)
+    expected.sum().backward()
+    torch.testing.assert_close(PRIOR.limit_penalty(fast), expected)
+    torch.testing.assert_close(fast.grad, readable.grad)
 
 
 def test_a_mirrored_pose_is_as_likely():
