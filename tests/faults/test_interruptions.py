@@ -128,7 +128,14 @@ sys.exit(cli.main([]))
 def test_a_signal_that_python_ignores_is_sent_again(sent: int, where: str, code: int) -> None:
     """What a signal raises within `__del__` is ignored; kernels that are loaded free modules of llvmlite so."""
     words = [sys.executable, "-c", IGNORED, str(int(sent)), where]
-    ended = subprocess.run(words, stderr=subprocess.PIPE, text=True, timeout=25, check=False)
+    ended = subprocess.run(
+        words,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=25,
+        check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     assert ended.returncode == code, ended.stderr
     assert "ignored" not in ended.stderr
 
