@@ -210,14 +210,12 @@ def _fit_together(
     others: list[_Fitted | None] = [None] * len(problems)
     if doubtful:
         with clock.stage("other_front"):
-            only_first = True
-            while doubtful:
-                mirrored = [problems[place].mirrored() for place in doubtful]
-                found = run(mirrored, schedule, clock.inner("other front: "), batch_size, only_first)
+            for only_first in (True, False):
+                mirrored, inner = [problems[place].mirrored() for place in doubtful], clock.inner("other front: ")
+                found = run(mirrored, schedule, inner, batch_size, only_first) if mirrored else []
                 for place, one in zip(doubtful, found, strict=True):
                     others[place] = one
-                doubtful = [one for one in doubtful if only_first and schedule.needs_more(fitted[one], others[one])]
-                only_first = False
+                doubtful = [one for one in doubtful if schedule.needs_more(fitted[one], others[one])]
         clock.skip(iterations)
     with clock.stage("directions"):
         results = schedule.finish_all(fitted, others)

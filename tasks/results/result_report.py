@@ -109,7 +109,7 @@ def clip_curves(
 
 @contextmanager
 def film_beside(shot: ShotHandle, config: ExportConfig, folder: Path) -> Iterator[Future[FileHandle | None]]:
-    """Draw the page's film, where a page is wanted, beside the work inside the block; it is there at the block's end.
+    """Draw the page's film, where a page is wanted, beside the work inside the block; its errors are the block's.
 
     Args:
         shot: motion, body, plate and frames.
@@ -117,7 +117,9 @@ def film_beside(shot: ShotHandle, config: ExportConfig, folder: Path) -> Iterato
         folder: where the film goes.
     """
     with ThreadPoolExecutor(1, "hfb-page-film") as beside:
-        yield beside.submit(copy_context().run, lambda: draw_page_film(shot, folder) if config.report else None)
+        drawn = beside.submit(copy_context().run, lambda: draw_page_film(shot, folder) if config.report else None)
+        yield drawn
+        drawn.result()  # a run whose page has no film is not recorded as finished
 
 
 @task("report's film", where="worker")
