@@ -446,11 +446,10 @@ _BEST = FitConfig(
     initial_root_velocity=0.1,
     adam_epsilon=1e-4,
     stages=(
-        Stage(size_px=64, iterations=60),
-        Stage(size_px=128, iterations=50),
-        Stage(size_px=256, iterations=25),  # before each of these three the evidence is refined
-        Stage(size_px=256, iterations=25),
-        Stage(size_px=256, iterations=50, cosine=True),
+        Stage(size_px=64, iterations=40),
+        Stage(size_px=128, iterations=30),
+        Stage(size_px=256, iterations=20),  # before each of these two the evidence is refined
+        Stage(size_px=256, iterations=30, cosine=True),
     ),
     matte_scales=5,  # a displaced limb shares no edge with its image: coarse pixels reach further
     image_scales=3,

@@ -197,6 +197,7 @@ def see_case(call: SeeCall) -> ReadyHandle:
             config=call.matting,
             landmarks=call.init.landmarks,
             pose_networks=shade_networks(call.init, call.networks),
+            quick=True,  # as the preset best has it; methods without a refinement lose nothing (n = 40)
             folder=folder,
         )
         for index in range(case.frames)

@@ -159,6 +159,7 @@ def see_images(inputs: Inputs, config: RunConfig, folder: Path) -> tuple[ClipHan
             config=config.matting,
             landmarks=config.init.landmarks,
             pose_networks=shade_networks(config.init, inputs.networks),
+            quick=config.fit.matte_again,
             folder=folder,
             network=inputs.matting,
         )

@@ -20,6 +20,7 @@ def matte(
     config: MattingConfig,
     landmarks: LandmarkChoice,
     pose_networks: tuple[FileHandle, ...],
+    quick: bool,
     folder: Path,
     network: FileHandle | None = None,
 ) -> FileHandle:
@@ -31,6 +32,7 @@ def matte(
         config: options of the matte.
         landmarks: choice among the landmark networks.
         pose_networks: those that tell the person from shade on the floor, by `shade_networks`.
+        quick: the fit refines the matte.
         folder: where the matte goes.
         network: the user's own, for methods that need one.
 
@@ -38,7 +40,7 @@ def matte(
         InputError: nothing differs from the background, or this machine has other pose networks.
     """
     frame, plate = load_image(clip.frames[index], clip), load_image(clip.background, clip)
-    matting = caller_parts().matting or person_matting(config, network, landmarks, pose_networks)
+    matting = caller_parts().matting or person_matting(config, network, landmarks, pose_networks, quick=quick)
     path = folder / f"matte_{index}.png"
     write_matte(path, matting(frame.numpy(), plate.numpy()))
     return FileHandle.of(path)

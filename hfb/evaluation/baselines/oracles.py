@@ -193,7 +193,7 @@ class SharpMiddle:
             )
         linear = observation.light == "linear"
         plate = observation.plate_linear if linear else srgb_to_linear(observation.plate_linear)
-        matting = without_shade(make_matting(MattingConfig()))
+        matting = without_shade(make_matting(MattingConfig(), quick=True))
         found = []
         with one_torch_thread():
             for path in case.middle_paths():
