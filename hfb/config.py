@@ -371,8 +371,8 @@ class VideoConfig(Record):
     person_windows: int = Field(3, ge=1, description="pairs of frames, over the clip, that settle shape and texture")
     key_every: int = Field(4, ge=1, description="frames from one full search of a first body to the next")
     longest_fill: int = Field(8, ge=0, description="frames in a row without a first body that neighbours stand in for")
-    settle: int = Field(40, ge=0, description="iterations of the skeleton alone, in every window")
-    stages: tuple[Stage, ...] = (Stage(size_px=64, iterations=20), Stage(size_px=128, iterations=30, cosine=True))
+    settle: int = Field(20, ge=0, description="iterations of the skeleton alone, in every window")
+    stages: tuple[Stage, ...] = (Stage(size_px=64, iterations=15), Stage(size_px=128, iterations=20, cosine=True))
 
 
 MotionFormat = Literal["amass", "glb", "bvh", "csv", "trc", "c3d", "usd", "fbx", "abc"]
