@@ -252,14 +252,14 @@ def _run(request: dict[str, Any], files: list[int], connection: socket.socket) -
         signal.signal(getattr(signal, name), signal.SIG_IGN if name in request["ignored"] else default)
     threading.Thread(target=_end_with, args=(connection,), name="hfb-client", daemon=True).start()
     from hfb.flows.cli.cli import main
-    from hfb.flows.runtime.server import does_not_answer
+    from hfb.flows.runtime.server import PrefectServer, does_not_answer
 
     for line in request.get("said", []):
         print(line, file=sys.stderr)
     if (server := request.get("server")) and not does_not_answer(server):
         from prefect.context import refresh_global_settings_context
 
-        os.environ["PREFECT_API_URL"] = server
+        os.environ["PREFECT_API_URL"] = PrefectServer.lent = server
         refresh_global_settings_context()
     return main(request["words"])
 

@@ -13,7 +13,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import redirect_stderr
+from contextlib import AbstractContextManager, redirect_stderr
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
@@ -110,6 +110,8 @@ class PrefectServer:
     process, too, and leave it running after a kill. Here it starts during the imports.
     """
 
+    lent = ""  # the address of a temporary server that another process of hfb keeps for this one
+
     def __init__(self) -> None:
         """Start the server. Raises InputError when the user's server does not answer."""
         from prefect.context import refresh_global_settings_context
@@ -136,6 +138,14 @@ class PrefectServer:
             self._start(self._database)
             os.environ["PREFECT_API_URL"] = self._api
             refresh_global_settings_context()
+
+    def quiet(self) -> AbstractContextManager[object]:
+        """Return a context whose runs send no heartbeats to a temporary server, where nobody reads them."""
+        from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
+
+        # At a run's end Prefect (3.8.8) waits for the thread that sends them, which sleeps a second at a time.
+        is_temporary = self._database is not None or self._api == self.lent
+        return temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None} if is_temporary else {})
 
     def wait(self) -> None:
         """Return when the server answers, with a new database if it cannot work with the existing one."""

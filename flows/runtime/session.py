@@ -48,7 +48,7 @@ def through_prefect(args: argparse.Namespace, out: Path, load: Callable[[], Chai
 
                 end_abandoned_flow_runs()
 
-        with explain_failures(out):
+        with explain_failures(out), server.quiet():
             return chain(ready)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
-from hfb.matting.known_background import Evidence, gather_evidence, main_change, solve_matte
+from hfb.matting.known_background import gather_evidence, main_change, solve_matte
 from hfb.typing import Array, Bool, Float, Tensor
 
 Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
@@ -51,7 +51,10 @@ class KnownBackground:
         small_frame, small_plate = shrink(frame, _DETECTION_PX), shrink(plate, _DETECTION_PX)
         gain = exposure_gain(small_frame, small_plate)
         found = gather_evidence(small_frame, np.clip(small_plate * gain, 0, 1))
-        _check_presence(found)
+        if found.body.mean() < LEAST_SHARE:
+            raise nobody_found()
+        if (found.change > 6).mean() > MOST_SHARE:
+            raise another_scene()
         height, width = frame.shape[:2]
         scale = np.array([height, width]) / found.body.shape
         top, left, bottom, right = scaled_box(
@@ -145,13 +148,6 @@ def shrink(picture: Float[Array, "H W *c"], longer_px: int) -> Float[Array, "h w
         return np.asarray(picture, np.float32)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     return cv2.resize(np.asarray(picture, np.float32), size, interpolation=cv2.INTER_AREA)
-
-
-def _check_presence(found: Evidence) -> None:
-    if found.body.mean() < LEAST_SHARE:
-        raise nobody_found()
-    if (found.change > 6).mean() > MOST_SHARE:
-        raise another_scene()
 
 
 def another_scene() -> InputError:

@@ -73,7 +73,9 @@ class NetworkMatting:
         plate = aligned_plate(frame, plate)
         small_frame, small_plate = shrink(frame, _WHOLE_PX), shrink(plate, _WHOLE_PX)
         gain = exposure_gain(small_frame, small_plate)
-        _check_scene(small_frame, small_plate * gain)
+        apart = np.abs(linear_to_srgb(small_frame) - linear_to_srgb(np.clip(small_plate * gain, 0, 1))).max(-1)
+        if (cv2.GaussianBlur(apart, (0, 0), 2) > _CLEARLY_CHANGED).mean() > MOST_SHARE:
+            raise another_scene()
         first = clean(self.look(small_frame, small_plate * gain))
         if first.sum() < LEAST_SHARE * first.size:
             raise nobody_found()
@@ -240,13 +242,6 @@ def _shipped(name: str, channels: int) -> MatteNetwork:
         network.load_state_dict({name: weights.float() for name, weights in load_file(path).items()})
     network.requires_grad_(False)
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-
-def _check_scene(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> None:
-    """Raise an error where nothing or everything changed, before the network runs."""
-    difference = np.abs(linear_to_srgb(frame) - linear_to_srgb(np.clip(plate, 0, 1))).max(-1)
-    if (cv2.GaussianBlur(difference, (0, 0), 2) > _CLEARLY_CHANGED).mean() > MOST_SHARE:
-        raise another_scene()
 
 
 def _gain_without(

@@ -131,11 +131,9 @@ def in_light(picture: Array, transfer: Transfer, light: Light) -> Tensor:
         light: in which blur is averaged.
     """
     stored = torch.from_numpy(as_srgb(picture, transfer))
-    if transfer == light:
-        return stored
-    if light == "linear":
-        return srgb_to_linear(stored)
-    return linear_to_srgb(stored) if transfer == "linear" else stored
+    if transfer == "linear":
+        return stored if light == "linear" else linear_to_srgb(stored)
+    return srgb_to_linear(stored) if light == "linear" else stored
 
 
 def match_plate(image: Tensor, plate: Tensor, gain: tuple[float, float, float], light: Light) -> Tensor:

@@ -28,6 +28,20 @@ with progress.showing(displays.lines_on(sys.stderr, first_s=999)):
     from hfb.flows.runtime.reaper import end_abandoned_flow_runs
     print(end_abandoned_flow_runs())
 """
+BEATS = """
+from prefect.settings import get_current_settings
+from hfb.flows.runtime.server import PrefectServer
+def beats():
+    server = PrefectServer()
+    server.wait()
+    with server.quiet():
+        print(get_current_settings().flows.heartbeat_frequency, get_current_settings().api.url == server._api)
+    return server._api
+address = beats()
+beats()  # the address is the user's now
+PrefectServer.lent = address
+beats()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +64,18 @@ def no_words(words: str) -> None:
     raise AssertionError(words)
 
 
-def started(home: Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+def started(home: Path, folder: Path | None = None, program: str = SERVER) -> subprocess.CompletedProcess[str]:
     """A temporary server with a home, in a process of its own, which is in a folder."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     environment |= {"PREFECT_HOME": str(home), "DO_NOT_TRACK": "1"}
-    words = [sys.executable, "-P", "-c", SERVER]
+    words = [sys.executable, "-P", "-c", program]
     return subprocess.run(words, env=environment, cwd=folder, capture_output=True, text=True, timeout=240, check=False)
+
+
+def test_only_the_runs_of_a_users_server_beat(tmp_path: Path) -> None:
+    """A run waits up to a second for its last heartbeat."""
+    done = started(tmp_path / "home", program=BEATS)
+    assert done.stdout.splitlines() == ["None True", "180 True", "None True"], done.stderr
 
 
 def test_the_server_imports_nothing_of_the_folder(tmp_path: Path) -> None:

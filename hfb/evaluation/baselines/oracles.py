@@ -191,8 +191,7 @@ class SharpMiddle:
             raise InputError(
                 f"{case.folder} has no {case.middle_paths()[0].name}: cases of real video have; make it again"
             )
-        linear = observation.light == "linear"
-        plate = observation.plate_linear if linear else srgb_to_linear(observation.plate_linear)
+        plate = observation.to_linear(observation.plate_linear)
         matting = without_shade(make_matting(MattingConfig(), quick=True))
         found = []
         with one_torch_thread():
@@ -236,8 +235,7 @@ class TwoStageOracle:
     def _seen(self, case: Case, observation: Observation) -> list[list[Estimate | None]]:
         initializer = self._initializer
         assert initializer is not None
-        linear = observation.light == "linear"
-        plate = observation.plate_linear if linear else srgb_to_linear(observation.plate_linear)
+        plate = observation.to_linear(observation.plate_linear)
         estimates = []
         for frame in range(len(observation.mattes)):
             sharp = torch.from_numpy(load_sharp(case, frame))
