@@ -85,7 +85,7 @@ def matte(
     Raises:
         InputError: frame and plate do not match, or no person is found.
     """
-    options = {**options, **options_of(matting=matting)}
+    options = {"matte_again": False, **options, **options_of(matting=matting)}  # no fit refines it
     with private_call() as folder:
         inputs, chosen, _ = _take(frame, background, options, folder, clip=clip, config=config)
         _, (found,) = see_images(inputs, chosen, folder)
