@@ -197,7 +197,8 @@ def see_case(call: SeeCall) -> ReadyHandle:
             config=call.matting,
             landmarks=call.init.landmarks,
             pose_networks=shade_networks(call.init, call.networks),
-            quick=True,  # as the preset best has it; methods without a refinement lose nothing (n = 40)
+            # as of `hfb fit`; methods that do not refine it lose nothing
+            quick=call.start == "simulated" or bool(shade_networks(call.init, call.networks)),
             folder=folder,
         )
         for index in range(case.frames)

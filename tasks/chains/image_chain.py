@@ -159,7 +159,8 @@ def see_images(inputs: Inputs, config: RunConfig, folder: Path) -> tuple[ClipHan
             config=config.matting,
             landmarks=config.init.landmarks,
             pose_networks=shade_networks(config.init, inputs.networks),
-            quick=config.fit.matte_again,
+            # a start from the matte alone hangs on it
+            quick=config.fit.matte_again and bool(shade_networks(config.init, inputs.networks)),
             folder=folder,
             network=inputs.matting,
         )

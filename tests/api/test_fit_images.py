@@ -67,8 +67,6 @@ def test_steps_by_themselves(problem: Problem, fitted: hfb.Result) -> None:
     alpha = hfb.matte(problem.frame, problem.background)
     assert alpha.shape == (96, 96)
     assert 0.02 < alpha.mean() < 0.5
-    refined_by_a_fit = hfb.matte(problem.frame, problem.background, matte_again=True)
-    assert 0 < np.abs(refined_by_a_fit - alpha).max() < 0.5, "it is seen at one size, without the moving layer"
     first = hfb.first_body(problem.frame, problem.background, init="matte")
     assert first.source == "matte"
     assert first.pose.shape == (24, 3)

@@ -185,7 +185,7 @@ def test_the_unexpected_points_to_the_log(
 ) -> None:
     import hfb.tasks.image.matte
 
-    def broken(*_arguments: object) -> None:
+    def broken(*_arguments: object, **_named: object) -> None:
         raise RuntimeError("a wire came loose")
 
     monkeypatch.setattr(hfb.tasks.image.matte, "person_matting", broken)
