@@ -32,7 +32,7 @@ def matte(
         config: options of the matte.
         landmarks: choice among the landmark networks.
         pose_networks: those that tell the person from shade on the floor, by `shade_networks`.
-        quick: the fit refines the matte.
+        quick: see `hfb.matting.methods.make_matting`.
         folder: where the matte goes.
         network: the user's own, for methods that need one.
 
