@@ -259,7 +259,7 @@ class DirectionsConfig(Record):
 class FitConfig(Record):
     """The optimisation."""
 
-    subframes: int = Field(8, ge=2, le=64, description="N, sub-frames per exposure")
+    subframes: int = Field(8, ge=2, le=64, description="N, sub-frames per exposure; fewer in stages of small images")
     degree: int = Field(2, ge=1, le=6, description="d, degree of the motion polynomials")
     rotation: Literal["quaternion", "axis-angle"] = Field("quaternion", description="the 4 dof of a rotation")
     silhouette: Literal["coverage", "dibr"] = Field("coverage", description="exact pixel share, or DIB-R's soft mask")

@@ -27,7 +27,7 @@ from hfb.fitting.identity import Identity
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.refine import InitialEvidence, predict_initial_evidence, seen_by_network
 from hfb.fitting.stage_clock import Progress, StageClock
-from hfb.fitting.stages import StagesResult, image_stages, run_stages
+from hfb.fitting.stages import StagesResult, image_stages, run_stages, subframes_at
 from hfb.fitting.variables import Variables, start_variables
 from hfb.fitting.warmup import fit_skeleton
 from hfb.geometry.rotations import axis_angle_to_matrix
@@ -417,7 +417,8 @@ class _Schedule:
         initial = replace(coarse, observation=start.initial.observation.resized(size_px))
         alternatives = None
         if config.directions.search:  # in a clip the neighbouring windows determine the directions
-            trajectory, alternatives = search_directions(best, coarse, stages.objective, config.directions)
+            few = replace(coarse, subframes=subframes_at(size_px, config))
+            trajectory, alternatives = search_directions(best, few, stages.objective, config.directions)
             best = replace(best, trajectory=trajectory)
             chosen = alternatives.chosen
             motion = replace(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
@@ -18,6 +18,9 @@ from hfb.typing import Bool, Tensor
 
 MIN_GAIN = 1e-3
 """Relative decrease of a stage's loss that counts as a gain."""
+
+_FEWEST_SUBFRAMES = 4
+"""As many as a motion of the third degree has coefficients."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,19 @@ def stage_objective(objective: Objective, variables: Variables, config: FitConfi
     seen = objective.observation.resized(stage.size_px)
     kind: StageKind = "full" if is_full_size(stage, config) else "coarse"
     visible = _find_visible(variables, seen, objective.body, config) if objective.texels else None
-    return objective.for_stage(seen, stage_weights(config, len(seen.mattes), kind), visible)
+    staged = objective.for_stage(seen, stage_weights(config, len(seen.mattes), kind), visible)
+    return replace(staged, subframes=subframes_at(stage.size_px, config))
+
+
+def subframes_at(size_px: int, config: FitConfig) -> int:
+    """Return how many sub-frames to render at an image size: as dense in pixels as at the last stage's, at least four.
+
+    Args:
+        size_px: longer side of the region of interest [px].
+        config: options of the fit.
+    """
+    share = size_px / image_stages(config)[-1].size_px
+    return min(max(_FEWEST_SUBFRAMES, math.ceil(config.subframes * share)), config.subframes)
 
 
 def _find_visible(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:

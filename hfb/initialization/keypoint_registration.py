@@ -100,7 +100,8 @@ class _Seen:
 
 def _nearest(seen: _Seen, shaped: ShapedBody) -> tuple[Float[Tensor, "n 24 3 3"], Float[Tensor, "n 3"]]:
     """Return _STARTS poses of the bank per instant, at the view and position that match best."""
-    poses, sides = _posed(seen.pixels.dtype), _sides(seen.pixels.dtype)
+    dtype = seen.pixels.dtype
+    poses, sides = axis_angle_to_matrix(bank_rotations(dtype)[1]), _sides(dtype)
     pairs = torch.cartesian_prod(torch.arange(len(poses)), torch.arange(len(sides)))
     turns = torch.cat([sides[pairs[:, 1]], poses[pairs[:, 0]]], 1)
     joints = shaped.joints_of(turns, turns.new_zeros(len(turns), 3))
@@ -130,10 +131,6 @@ def _apart_from_each_other(ranked: Tensor, sides: int) -> Tensor:
         if len(chosen) == _STARTS:
             break
     return torch.tensor(chosen)
-
-
-def _posed(dtype: torch.dtype) -> Float[Tensor, "P 23 3 3"]:
-    return axis_angle_to_matrix(bank_rotations(dtype)[1])
 
 
 def _sides(dtype: torch.dtype) -> Float[Tensor, "n 1 3 3"]:

@@ -1,5 +1,7 @@
 """Differences of frame and plate in the background: a small exposure gain, and noise."""
 
+from functools import reduce
+
 import cv2
 import numpy as np
 
@@ -24,17 +26,18 @@ def exposure_gain(
         plate_linear: linear light in [0, 1].
         limits: smallest and largest gain.
     """
-    usable = ((plate_linear > 0.01).all(-1) & (plate_linear < 0.9).all(-1) & (frame_linear < 0.95).all(-1)) & (
-        frame_linear > 0.005
-    ).all(-1)
-    if usable.sum() < 100:
-        return np.ones(3, np.float32)
-    frame, plate = frame_linear[usable], plate_linear[usable]
+    # channel by channel: NumPy reduces and chooses along axes of three four times as slowly
+    frame, plate = (np.moveaxis(one, -1, 0) for one in (frame_linear, plate_linear))
+    usable = ((plate > 0.01) & (plate < 0.9) & (frame < 0.95) & (frame > 0.005)).all(0)
     gain = np.ones(3, np.float32)
+    if usable.sum() < 100:
+        return gain
+    ratio = np.stack([seen[usable] / there[usable] for seen, there in zip(frame, plate, strict=True)])
+    logs = np.log(ratio)
     for _ in range(3):
-        distance = np.abs(np.log(plate * gain / frame)).max(-1)
+        distance = reduce(np.maximum, np.abs(logs - np.log(gain)[:, None]))
         near = distance <= 1.5 * np.median(distance)
-        gain = np.clip(np.median(frame[near] / plate[near], axis=0), *limits).astype(np.float32)
+        gain = np.clip([np.median(one[near]) for one in ratio], *limits).astype(np.float32)
     return gain
 
 

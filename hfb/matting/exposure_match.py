@@ -48,7 +48,7 @@ def frame_gain(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "
     shared = np.abs(mean - _most_shared(mean, weight)) < _NEAR[0]
     gain = np.array([_most_shared(channel, weight[shared]) for channel in ratio[shared].T])
     for near in _NEAR:
-        inside = _within(ratio, gain, near)
+        inside = (np.abs(ratio - gain) < near).all(1)
         if (
             inside.sum() < max(_LEAST_PIXELS, _LEAST_SHARE * len(ratio))
             or weight[inside].sum() < _LEAST_SAID * weight.sum()
@@ -156,7 +156,3 @@ def _most_shared(ratio: Float[Array, "n"], weight: Float[Array, "n"]) -> float:
     smooth = cv2.GaussianBlur(counts.astype(np.float64)[None], (0, 0), 1.5)[0]
     middles = (edges[1:] + edges[:-1]) / 2
     return float(middles[int(np.argmax(smooth * np.exp(-((middles / _LARGE) ** 2))))])
-
-
-def _within(ratio: Float[Array, "n 3"], gain: Float[Array, "3"], near: float) -> Bool[Array, "n"]:
-    return np.asarray((np.abs(ratio - gain) < near).all(1))

@@ -16,7 +16,7 @@ from hfb.matting.matting_protocol import clean, shrink
 from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Bool, Float
 
-_ALIGNED_AT_PX, _JUDGED_AT_PX, _LOOKED_AT_PX = 640, 320, 256
+_ALIGNED_AT_PX, _JUDGED_AT_PX, _LOOKED_AT_PX = 640, 320, 128
 _FOUND_PX = 9 * MOST_PX
 """Stabilisers move a crop so far; an edge farther off is no longer found near its own."""
 _FOUND_GAINS = (0.2, 5.0)

@@ -275,3 +275,31 @@ def test_frames_share_what_holds_their_motion(frames: int) -> None:
     shared = losses(0.5, True)
     assert shared == losses(0.5 / frames, False)
     assert (shared == losses(0.5, False)) == (frames == 1)
+
+
+def test_small_images_need_fewer_subframes() -> None:
+    """As dense in pixels as at the last stage's size, but at least four, or all where there are fewer."""
+
+    def counts(subframes: int) -> list[int]:
+        config = preset("best").fit.model_copy(update={"subframes": subframes})
+        return [stages.subframes_at(size_px, config) for size_px in (64, 128, 192, 256)]
+
+    assert counts(8) == [4, 4, 6, 8]
+    assert counts(17) == [5, 9, 13, 17]
+    assert counts(3) == [3, 3, 3, 3]
+
+
+def test_a_result_has_all_subframes_whatever_its_stages_rendered() -> None:
+    small, large = Stage(size_px=16, iterations=2), Stage(size_px=48, iterations=2)
+    scene, body = moving_scene(load_default_body(), size_px=48), load_default_body()
+
+    def fitted(*stages: Stage) -> FitResult:
+        config = FitConfig(stages=stages, subframes=9, texture_px=16, directions=DirectionsConfig(search=True))
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior())
+
+    found = fitted(small, large)
+    assert found.motion.poses.shape[0] == 9
+    assert found.alternatives is not None
+    assert found.alternatives.poses.shape[1] == 9
+    alike = fitted(small.model_copy(update={"size_px": 48}), large)
+    assert found.history["total"][0] != alike.history["total"][0]

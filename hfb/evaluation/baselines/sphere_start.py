@@ -58,7 +58,8 @@ def sphere_starts(observation: Observation, degree: int) -> list[SphereStart]:
         middle = shutter_tau(observation, 3)[:, 1][seen]
         powers = middle[:, None] ** torch.arange(2)
         path_px[:2] = torch.linalg.lstsq(powers, centres).solution
-        during = path_px[1] * (observation.exposure_s / _span_s(observation))
+        span_s = observation.exposure_s + (len(observation.mattes) - 1) * observation.interval_s
+        during = path_px[1] * (observation.exposure_s / span_s)
         guesses = [(variance - during**2 / 12, path_px)]
     else:
         path_px[0] = centres[0]
@@ -76,10 +77,6 @@ def sphere_starts(observation: Observation, degree: int) -> list[SphereStart]:
         path_m[0] = camera.unproject(path[0], torch.tensor(DEPTH_M))
         starts.append(SphereStart(torch.cat([half, half.min()[None]]), path_m))
     return starts
-
-
-def _span_s(observation: Observation) -> float:
-    return observation.exposure_s + (len(observation.mattes) - 1) * observation.interval_s
 
 
 def _moments(matte: Float[Tensor, "H W"]) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:

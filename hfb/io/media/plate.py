@@ -60,7 +60,7 @@ def find_plate(
             doubt = check_plate(plate, footage, sure=False)
             return plate, f"{told}; {doubt}" if doubt else told
     elif how == "median":
-        chosen = _spread(footage, _count_in_memory(footage))
+        chosen = _spread_over(footage.count, _count_in_memory(footage))
         plate = _median(footage, chosen, on_progress)
         told = f"background: the median of {len(chosen)} frames"
     else:
@@ -249,10 +249,6 @@ def _count_in_memory(footage: Footage) -> int:
     """Return how many frames a median may hold at once."""
     frame_bytes = footage.height * footage.width * 3 * (footage.bits // 8)
     return int(np.clip(_MEMORY_BYTES // frame_bytes, _FEWEST_FRAMES, _MOST_FRAMES))
-
-
-def _spread(footage: Footage, most: int) -> Array:
-    return _spread_over(footage.count, most)
 
 
 def _spread_over(count: int, most: int) -> Array:

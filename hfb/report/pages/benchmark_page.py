@@ -65,7 +65,8 @@ def benchmark_page(
     """
     title = f"{summary['set']}: {summary['start']['all']['n']} cases, {len(summary['methods'])} methods"
     if beside_paper is not None:
-        title = f"{_title_of(beside_paper)}: ours beside the paper"
+        heading = beside_paper.lstrip().split("\n", 1)[0].removeprefix("# ")
+        title = f"{heading}: ours beside the paper"
     shown = sorted((path for path in plots if path.name in _PLOTS), key=lambda one: list(_PLOTS).index(one.name))
     methods = list(dict.fromkeys(str(answer.row["method"]) for answer in answers))
     return page(
@@ -81,10 +82,6 @@ def benchmark_page(
         skipped=sorted((summary.get("skipped_reasons") or {}).items()),
         made_from=made_from.items(),
     )
-
-
-def _title_of(text: str) -> str:
-    return text.lstrip().split("\n", 1)[0].removeprefix("# ")
 
 
 def _in_short(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
