@@ -49,7 +49,8 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         run = place.fetched or _run_of(place.folder)
         folder = out or place.new_folder("report", place.folder)
         check_writable(folder)
-        facts = _facts(place.files / RESULT)
+        told = place.files / RESULT
+        facts = read_facts(told) if told.exists() else {}
         motion, space = load_motion(place.motion)
         model = model_or_none(motion, space, body or find_named_body(place.files / RESULT))
         film = _film(place, run, model, inputs=inputs, made=Path(made))
@@ -73,11 +74,6 @@ def _run_of(folder: Path) -> StoredRun | None:
         return find_run(str(folder))
     except (InputError, tracking.StoreLost):
         return None
-
-
-def _facts(path: Path) -> dict[str, Any]:
-    """Read result.json; empty where there is none. Raises InputError where it is something else."""
-    return read_facts(path) if path.exists() else {}
 
 
 def model_or_none(motion: Any, space: str, path: Path | None) -> Body | None:

@@ -239,8 +239,10 @@ class Stage(Record):
 
 
 class MultiFrame(Record):
-    """Factors of weights where several frames share one texture; that of a single frame can explain anything."""
+    """Factors where several frames share one texture; that of a single frame can explain anything."""
 
+    iterations: float = Field(1.0, gt=0, le=100, description="factor of the iterations of every stage")
+    learning_rate: float = Field(1.0, gt=0, description="factor of the learning rate of every stage")
     image: float = Field(1.0, ge=0, description="factor of w_I in the stages of full size, when the texture is known")
     height: float = Field(1.0, ge=0, description="factor of the height's weight")
 
@@ -446,10 +448,10 @@ _BEST = FitConfig(
     initial_root_velocity=0.1,
     adam_epsilon=1e-4,
     stages=(
-        Stage(size_px=64, iterations=40),
-        Stage(size_px=128, iterations=30),
-        Stage(size_px=256, iterations=20),  # before each of these two the evidence is refined
-        Stage(size_px=256, iterations=30, cosine=True),
+        Stage(size_px=64, iterations=30, learning_rate=0.03),
+        Stage(size_px=128, iterations=20, learning_rate=0.02),
+        Stage(size_px=256, iterations=10, learning_rate=0.012),  # before each of these two the evidence is refined
+        Stage(size_px=256, iterations=25, cosine=True),
     ),
     matte_scales=5,  # a displaced limb shares no edge with its image: coarse pixels reach further
     image_scales=3,
@@ -463,7 +465,7 @@ _BEST = FitConfig(
     keep_height=True,
     keep_image_size=True,
     motion_shared=True,
-    multi_frame=MultiFrame(image=33, height=3),
+    multi_frame=MultiFrame(image=33, height=3, iterations=1.5, learning_rate=0.6),
     matte_again=True,
     weights=Weights(
         image=30, matte=14, pose=0.014, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=0.4, height=0.04

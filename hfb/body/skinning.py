@@ -45,17 +45,14 @@ def place_joints(
     transforms = torch.cat([torch.cat([upper, bottom], -2), above_root], 1)
     for ancestors in ANCESTORS_BY_DOUBLING:
         above = constant(chosen(ancestors, JOINT_COUNT + 1), upper.dtype, upper.device)
-        transforms = _product(torch.einsum("ij,sjrc->sirc", above, transforms), transforms)
+        upper_ones = torch.einsum("ij,sjrc->sirc", above, transforms)
+        # small matrices: a device's matrix products are made for large ones
+        transforms = (upper_ones[..., :, :, None] * transforms[..., None, :, :]).sum(-2)
     T_world_joint = transforms[:, :JOINT_COUNT]
     joints = T_world_joint[:, :, :3, 3]
     # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.
     offset = joints - (T_world_joint[:, :, :3, :3] * rest_joints[:, None]).sum(-1)
     return torch.cat([T_world_joint[:, :, :3, :3], offset[..., None]], -1), joints
-
-
-def _product(left: Float[Tensor, "*n r k"], right: Float[Tensor, "*n k c"]) -> Float[Tensor, "*n r c"]:
-    """Return left @ right for small matrices: a device's matrix products are made for large ones."""
-    return (left[..., :, :, None] * right[..., None, :, :]).sum(-2)
 
 
 def blend(feature: Float[Tensor, "S n"], directions: Float[Tensor, "V 3 n"]) -> Float[Tensor, "S V 3"]:

@@ -27,7 +27,7 @@ from hfb.fitting.identity import Identity
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.refine import InitialEvidence, predict_initial_evidence, seen_by_network
 from hfb.fitting.stage_clock import Progress, StageClock
-from hfb.fitting.stages import StagesResult, image_stages, run_stages, subframes_at
+from hfb.fitting.stages import StagesResult, for_frames, image_stages, run_stages, subframes_at
 from hfb.fitting.variables import Variables, start_variables
 from hfb.fitting.warmup import fit_skeleton
 from hfb.geometry.rotations import axis_angle_to_matrix
@@ -202,6 +202,7 @@ def _fit_together(
     problems: Sequence[Problem], schedule: "_Schedule", on_progress: Progress | None, batch_size: int
 ) -> list[FitResult]:
     """Fit one problem, or a batch; the other front of the doubtful ones only as far as that is needed."""
+    schedule = replace(schedule, config=for_frames(schedule.config, len(problems[0].first_bodies)))
     run = _run_batch if schedule.batched else _run_one
     doubtful = [place for place, one in enumerate(problems) if one.other_front is not None]
     iterations = sum(stage.iterations for stage in image_stages(schedule.config))

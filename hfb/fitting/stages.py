@@ -95,6 +95,22 @@ def run_stages(
     return StagesResult(best, best_iteration, first_best, history, staged, objective.observation)
 
 
+def for_frames(config: FitConfig, frames: int) -> FitConfig:
+    """Return the options with the stages of so many frames, see `hfb.config.MultiFrame`.
+
+    Args:
+        config: options of the fit.
+        frames: number of frames that are fitted together.
+    """
+    several = config.multi_frame
+
+    def scaled(stage: Stage) -> Stage:
+        iterations, rate = round(several.iterations * stage.iterations), several.learning_rate * stage.learning_rate
+        return stage.model_copy(update={"iterations": iterations, "learning_rate": rate})
+
+    return config if frames == 1 else config.model_copy(update={"stages": tuple(map(scaled, config.stages))})
+
+
 def image_stages(config: FitConfig) -> list[Stage]:
     """Return the stages that have iterations.
 

@@ -97,7 +97,9 @@ class KeypointNetwork:
                 for x, y in ((0, 1), (1, 0)):
                     bins = lengths[x][0] / self._width
                     if bins >= 1 and bins == lengths[y][0] / self._height:
-                        return _largest(outputs.arrays[x][0], outputs.arrays[y][0], bins)
+                        across, down = outputs.arrays[x][0], outputs.arrays[y][0]
+                        sure = np.minimum(across.max(1), down.max(1))  # as the less sure of both axes
+                        return np.column_stack([across.argmax(1) / bins, down.argmax(1) / bins, sure])
             if [*map(len, lengths)] == [2] and min(lengths[0]) > 2:
                 (height, width) = lengths[0]
                 if height * self._width == width * self._height:
@@ -112,11 +114,6 @@ class KeypointNetwork:
             f"needs RTMPose's (1, K, {2 * self._width}) and (1, K, {2 * self._height}) or ViTPose's (1, K, "
             f"{self._height // 4}, {self._width // 4}) with K = {', '.join(map(str, _COUNTS))} keypoints"
         )
-
-
-def _largest(x: Float[Array, "K n"], y: Float[Array, "K m"], bins: float) -> Float[Array, "K 3"]:
-    """Return the places of the largest values of both axes; a keypoint is as sure as the less sure of them."""
-    return np.column_stack([x.argmax(1) / bins, y.argmax(1) / bins, np.minimum(x.max(1), y.max(1))])
 
 
 def _peaks(maps: Float[Array, "K h w"]) -> Float[Array, "K 3"]:

@@ -106,7 +106,8 @@ def find_tracks(
     for done, frame in enumerate(frames, 1):
         changed = changed_pixels(_small(frame, scale)[None], empty)[0]
         pieces = join_pieces(_pieces(changed, scale), frame, plate, alpha)
-        _follow(open_tracks, _people(pieces), done - 1)
+        people = [one for one in pieces if one[4] >= _LEAST_OF_LARGEST * pieces[0][4]]
+        _follow(open_tracks, people, done - 1)
         if on_progress:
             on_progress(done)
     kept = [track for track in open_tracks if len(track) >= min(_SHORTEST, done)]
@@ -295,11 +296,6 @@ def _pieces(changed: Bool[Array, "h w"], scale: float) -> list[Person]:
         for x, y, w, h, area in stats[1:].tolist()
         if area >= _LEAST_SHARE * changed.size
     ]
-
-
-def _people(pieces: list[Person]) -> list[Person]:
-    """Return the areas that are large enough relative to the largest, which comes first."""
-    return [one for one in pieces if one[4] >= _LEAST_OF_LARGEST * pieces[0][4]]
 
 
 def _follow(tracks: list[dict[int, Person]], people: list[Person], frame: int) -> None:

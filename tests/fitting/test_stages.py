@@ -303,3 +303,24 @@ def test_a_result_has_all_subframes_whatever_its_stages_rendered() -> None:
     assert found.alternatives.poses.shape[1] == 9
     alike = fitted(small.model_copy(update={"size_px": 48}), large)
     assert found.history["total"][0] != alike.history["total"][0]
+
+
+def test_several_frames_take_more_and_smaller_steps() -> None:
+    """Images that share a texture converge further: with the steps of single ones pairs were 3 mm worse."""
+    given = FitConfig(
+        stages=(Stage(size_px=32, iterations=4, learning_rate=0.03), Stage(size_px=48, iterations=5, cosine=True)),
+        multi_frame=MultiFrame(iterations=1.5, learning_rate=0.5),
+    )
+    assert stages.for_frames(given, 1) == given
+    first, last = stages.for_frames(given, 2).stages
+    assert (first.iterations, first.learning_rate) == (6, 0.015)
+    assert (last.iterations, last.learning_rate, last.cosine) == (8, 0.005, True)
+
+    def iterations(frames: int) -> int:
+        scene = moving_scene(load_default_body(), size_px=48, frames=frames)
+        config = given.model_copy(update={"subframes": 3, "texture_px": 16})
+        return len(
+            fit(scene.observation, scene.middle, load_default_body(), config, 0, AnatomicalPrior()).history["total"]
+        )
+
+    assert (iterations(1), iterations(2)) == (9, 14)

@@ -26,6 +26,7 @@ from hfb.fitting.clip.windows import (
     window_config,
 )
 from hfb.fitting.identity import Identity, load_identity, save_identity
+from hfb.fitting.stages import for_frames
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.static_pose import FirstBody, rescale_first_body
@@ -82,6 +83,7 @@ def test_the_person_is_settled_by_windows_apart() -> None:
 def test_configurations_of_windows() -> None:
     run = preset("best")
     assert window_config(run).stages == run.video.stages
+    assert for_frames(window_config(run), 4) == window_config(run)  # told as they are, for a window's frames
     assert window_config(run).directions.search is person_config(run).directions.search is False
     assert person_config(run).stages == run.fit.stages
     plain = RunConfig(fit=QUICK, video=VideoConfig(settle=50))

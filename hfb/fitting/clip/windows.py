@@ -135,6 +135,7 @@ def window_config(config: RunConfig) -> FitConfig:
     return base.model_copy(
         update={
             "stages": video.stages,
+            "multi_frame": base.multi_frame.model_copy(update={"iterations": 1.0, "learning_rate": 1.0}),
             "settle": min(video.settle, base.settle),
             "both_fronts": False,
             "directions": base.directions.model_copy(update={"search": False}),

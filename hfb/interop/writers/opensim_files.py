@@ -53,6 +53,7 @@ _TURNS: dict[str, tuple[tuple[str, tuple[int, int, int]], ...]] = {
 """Coordinates of a joint, and the axes on the right that they turn about in the rest pose; other joints are welds."""
 
 _MIRRORED = np.array([-1, -1, 1])  # of the axes on the left: the same sign is the same movement
+_PELVIS_TURNS = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
 _RUN = f"""
 import opensim
 opensim.Logger.removeFileSink()
@@ -139,7 +140,7 @@ def _model(opensim: Any, rest: Float[Array, "24 3"]) -> Any:
         frames = (above, offset, opensim.Vec3(0), body, opensim.Vec3(0), opensim.Vec3(0))
         turns = [(f"{one}{suffix}", axis if suffix != "_l" else _MIRRORED * axis) for one, axis in _TURNS.get(part, ())]
         if parent < 0:
-            link = _custom(opensim, f"ground_{name}", frames, _pelvis_turns(), ("pelvis_tx", "pelvis_ty", "pelvis_tz"))
+            link = _custom(opensim, f"ground_{name}", frames, _PELVIS_TURNS, ("pelvis_tx", "pelvis_ty", "pelvis_tz"))
         elif turns:
             link = _custom(opensim, name + "_joint", frames, turns, ())
         else:
@@ -150,10 +151,6 @@ def _model(opensim: Any, rest: Float[Array, "24 3"]) -> Any:
         model.addMarker(opensim.Marker(marker_names()[joint], body, opensim.Vec3(0)))
     model.finalizeConnections()
     return model
-
-
-def _pelvis_turns() -> list[tuple[str, Any]]:
-    return [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
 
 
 def _custom(opensim: Any, name: str, frames: Any, turns: list[tuple[str, Any]], moves: tuple[str, ...]) -> Any:

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any
 
 from hfb.errors import InputError
 from hfb.io.array_files import UNPACKED_LIMIT, names_in
@@ -52,12 +51,9 @@ def _from_pickle(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Shaped
     content = load_pickle(data)
     if not isinstance(content, dict):
         raise InputError("its pickle holds no named arrays")
-    names = {_text(name): value for name, value in content.items()}
+    texts = (name.decode("latin1") if isinstance(name, bytes) else str(name) for name in content)
+    names = dict(zip(texts, content.values(), strict=True))
     return {name: to_array(value) for name, value in names.items() if name in wanted}, frozenset(names)
-
-
-def _text(name: Any) -> str:
-    return name.decode("latin1") if isinstance(name, bytes) else str(name)
 
 
 def _from_zip(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Shaped[Array, "..."]], frozenset[str]]:

@@ -81,7 +81,8 @@ def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array,
     if len(free) == 1 and len(squeezed) == len(wanted) - 1:  # one row of a list of rows
         squeezed = _with_one(squeezed, wanted)
     if len(squeezed) != len(wanted) or any(w is not None and w != s for w, s in zip(wanted, squeezed, strict=True)):
-        raise InputError(f"it holds numbers of the shape {array.shape} where {_shown(shape)} were expected")
+        sides = ", ".join("N" if side is None else str(side) for side in shape)
+        raise InputError(f"it holds numbers of the shape {array.shape} where ({sides}) were expected")
     lengths = iter(squeezed)
     full = tuple(1 if side == 1 else next(lengths) for side in shape)
     result = array.reshape(full)
@@ -184,7 +185,8 @@ def text_of(value: Any) -> str:
     Args:
         value: text or bytes.
     """
-    return value.decode("latin1") if isinstance(value, bytes) else str(_plain(value))
+    plain = to_array(value).item() if isinstance(value, NumpyScalar) else value
+    return plain.decode("latin1") if isinstance(plain, bytes) else str(plain)
 
 
 def named(value: Any) -> dict[str, Any]:
@@ -196,17 +198,9 @@ def named(value: Any) -> dict[str, Any]:
     return {text_of(key): one for key, one in value.items()} if isinstance(value, dict) else {}
 
 
-def _plain(value: Any) -> Any:
-    return to_array(value).item() if isinstance(value, NumpyScalar) else value
-
-
 def _with_one(squeezed: tuple[int, ...], wanted: tuple[int | None, ...]) -> tuple[int, ...]:
     at = wanted.index(None)
     return (*squeezed[:at], 1, *squeezed[at:])
-
-
-def _shown(shape: tuple[int | None, ...]) -> str:
-    return "(" + ", ".join("N" if side is None else str(side) for side in shape) + ")"
 
 
 def _loaded(data: bytes, steps: Steps) -> Any:

@@ -58,14 +58,11 @@ def trunk_offsets(
     chest = multiply(rotations[:, joints.chest], offsets["chest"])
     straight = _mean(multiply(conjugate(rotations[:, joints.head]), chest))
     known = at_rest.get("head")
-    usual = known is not None and np.median(_cosines(multiply(rotations[:, joints.head], known), chest)) >= _HEAD
+    # of half the angle between both rotations
+    cosines = None if known is None else np.abs((multiply(rotations[:, joints.head], known) * chest).sum(-1))
+    usual = cosines is not None and np.median(cosines) >= _HEAD
     offsets["head"] = known if known is not None and usual else straight
     return offsets, corrected if usual else [*corrected, "head"]
-
-
-def _cosines(one: Float[Array, "F 4"], other: Float[Array, "F 4"]) -> Float[Array, "F"]:
-    """Return the cosine of half the angle between rotations."""
-    return np.abs((one * other).sum(-1))
 
 
 def _frame(left: Float[Array, "F 3"], up: Float[Array, "F 3"]) -> Float[Array, "F 4"]:

@@ -36,11 +36,8 @@ def read_document(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: announces a matrix of a size that no calibration has; export it again.")
     if _depth(text) > _DEEPEST:
         raise InputError(f"{path}: is no calibration as OpenCV writes it: it nests without end; export it again.")
-    return _opencv(path, text) if _is_opencv(path, text) else _yaml(path, text)
-
-
-def _is_opencv(path: Path, text: str) -> bool:
-    return path.suffix.lower() == ".xml" or text.lstrip("\ufeff").startswith("%YAML:") or "!!opencv-matrix" in text
+    written_so = text.lstrip("\ufeff").startswith("%YAML:") or "!!opencv-matrix" in text
+    return _opencv(path, text) if path.suffix.lower() == ".xml" or written_so else _yaml(path, text)
 
 
 def _text(path: Path) -> str:
