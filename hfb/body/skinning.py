@@ -45,9 +45,9 @@ def place_joints(
     transforms = torch.cat([torch.cat([upper, bottom], -2), above_root], 1)
     for ancestors in ANCESTORS_BY_DOUBLING:
         above = constant(chosen(ancestors, JOINT_COUNT + 1), upper.dtype, upper.device)
-        upper_ones = torch.einsum("ij,sjrc->sirc", above, transforms)
+        of_ancestors = torch.einsum("ij,sjrc->sirc", above, transforms)
         # small matrices: a device's matrix products are made for large ones
-        transforms = (upper_ones[..., :, :, None] * transforms[..., None, :, :]).sum(-2)
+        transforms = (of_ancestors[..., :, :, None] * transforms[..., None, :, :]).sum(-2)
     T_world_joint = transforms[:, :JOINT_COUNT]
     joints = T_world_joint[:, :, :3, 3]
     # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.

@@ -6,6 +6,7 @@ from pathlib import Path
 from hfb.errors import InputError
 from hfb.io.array_files import UNPACKED_LIMIT, names_in
 from hfb.io.array_files import read_arrays as read_arrays_of
+from hfb.io.safe.contents import text_of
 from hfb.io.safe.pickle_reader import load_pickle
 from hfb.io.safe.pickle_stream import Steps
 from hfb.io.safe.pickled_arrays import to_array
@@ -51,8 +52,7 @@ def _from_pickle(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Shaped
     content = load_pickle(data)
     if not isinstance(content, dict):
         raise InputError("its pickle holds no named arrays")
-    texts = (name.decode("latin1") if isinstance(name, bytes) else str(name) for name in content)
-    names = dict(zip(texts, content.values(), strict=True))
+    names = {text_of(name): value for name, value in content.items()}
     return {name: to_array(value) for name, value in names.items() if name in wanted}, frozenset(names)
 
 

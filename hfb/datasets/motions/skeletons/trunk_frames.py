@@ -58,7 +58,7 @@ def trunk_offsets(
     chest = multiply(rotations[:, joints.chest], offsets["chest"])
     straight = _mean(multiply(conjugate(rotations[:, joints.head]), chest))
     known = at_rest.get("head")
-    # of half the angle between both rotations
+    # cosines of half the angle between the head so turned and the chest
     cosines = None if known is None else np.abs((multiply(rotations[:, joints.head], known) * chest).sum(-1))
     usual = cosines is not None and np.median(cosines) >= _HEAD
     offsets["head"] = known if known is not None and usual else straight
