@@ -389,12 +389,8 @@ def _words(value: Any) -> Any:
     return [] if value.strip() in ("", "none") else [word.strip() for word in value.split(",")]
 
 
-def _number(value: Any) -> Any:
-    return int(value) if isinstance(value, str) and value.isdecimal() else value
-
-
 CsvFrame = Literal["camera", "world"]
-AmassRate = Annotated[Literal[30, 60, 120], BeforeValidator(_number)]
+AmassRate = Annotated[Literal[30, 60, 120], BeforeValidator(lambda it: int(it) if str(it).isdecimal() else it)]
 
 
 class ExportConfig(Record):
@@ -455,7 +451,7 @@ _BEST = FitConfig(
     ),
     matte_scales=5,  # a displaced limb shares no edge with its image: coarse pixels reach further
     image_scales=3,
-    directions=DirectionsConfig(search=True),
+    directions=DirectionsConfig(search=True, refits=2, iterations=5),
     both_fronts=True,
     settle=80,
     lifting=0.75,

@@ -19,8 +19,8 @@ from __future__ import annotations
 import functools
 import inspect
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, ParamSpec, TypeVar, cas
 from hfb.tasks.core import repetition
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import Call, StaleFile, digest, files_in, verify_unchanged
+from hfb.tasks.core.scoped import scoped
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.structured_log import about, ids_of
 from hfb.tasks.workers.workers import run_local, run_remote
@@ -49,14 +50,9 @@ Without a cluster a worker of this machine runs it, without workers this process
 _bare: ContextVar[bool] = ContextVar("bare", default=False)
 
 
-@contextmanager
-def without_prefect() -> Iterator[None]:
+def without_prefect() -> AbstractContextManager[None]:
     """Run tasks inside the block as plain functions of this process: no server, nothing cached."""
-    token = _bare.set(True)
-    try:
-        yield
-    finally:
-        _bare.reset(token)
+    return scoped(_bare, True)
 
 
 def is_bare() -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +38,7 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
     add = parser.add_argument
     shown = "as in the experiment's file" if count is None else str(count)
     add("--count", type=positive, default=count, metavar="N", help=f"how many cases [{shown}]")
-    add("--seed", type=_natural, default=0, metavar="S", help="of everything that is random [0]")
+    add("--seed", type=partial(_at_least, least=0), default=0, metavar="S", help="of everything that is random [0]")
     add("--motions", type=Path, metavar="DIR", help="AMASS, BVH, DeepMimic, CAPE or hfb's own motion files [built in]")
     add("--backgrounds", type=Path, metavar="DIR", help="pictures to stand in front of [generated rooms]")
     add("--textures", type=Path, metavar="DIR", help="textures for the body's UV map [generated clothes]")
@@ -215,10 +216,6 @@ def positive(text: str) -> int:
 def _averages(text: str) -> tuple[int, ...]:
     """Parse whole numbers, 1 or more, separated by commas."""
     return tuple(positive(one) for one in text.split(",") if one.strip()) or (positive(text),)
-
-
-def _natural(text: str) -> int:
-    return _at_least(text, 0)
 
 
 def _at_least(text: str, least: int) -> int:

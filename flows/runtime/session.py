@@ -30,7 +30,10 @@ def through_prefect(args: argparse.Namespace, out: Path, load: Callable[[], Chai
     """
     with open_session(args, out):
         from hfb.tasks.telemetry import progress
+        from hfb.tasks.workers.workers import begin_early
 
+        if "workers" in args:
+            begin_early(args.workers)
         with libraries():
             from hfb.flows.runtime.failures import explain_failures
             from hfb.flows.runtime.server import PrefectServer

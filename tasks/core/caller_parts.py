@@ -6,11 +6,12 @@ A run with Prefect has none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from hfb.tasks.core.scoped import scoped
 
 if TYPE_CHECKING:
     from hfb.initialization.initializer import Initializer
@@ -47,15 +48,10 @@ def caller_parts() -> OwnParts:
     return _in_use.get()
 
 
-@contextmanager
-def using(own: OwnParts) -> Iterator[None]:
+def using(own: OwnParts) -> AbstractContextManager[None]:
     """Use parts within the block.
 
     Args:
         own: the parts.
     """
-    before = _in_use.set(own)
-    try:
-        yield
-    finally:
-        _in_use.reset(before)
+    return scoped(_in_use, own)

@@ -6,11 +6,12 @@ it repeats. Light to import.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+
+from hfb.tasks.core.scoped import scoped
 
 
 @dataclass(frozen=True)
@@ -29,18 +30,13 @@ class Repetition:
 _current: ContextVar[Repetition | None] = ContextVar("repetition", default=None)
 
 
-@contextmanager
-def repeat_run(repetition: Repetition) -> Iterator[None]:
+def repeat_run(repetition: Repetition) -> AbstractContextManager[None]:
     """Mark everything inside the block as a repetition; Prefect passes this on to the threads of its tasks.
 
     Args:
         repetition: the recorded run and the new folder.
     """
-    token = _current.set(repetition)
-    try:
-        yield
-    finally:
-        _current.reset(token)
+    return scoped(_current, repetition)
 
 
 def current() -> Repetition | None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Any
 
+from hfb.tasks.core.scoped import scoped
 from hfb.tasks.telemetry.secrets import without_secrets
 
 _given: ContextVar[dict[str, Any]] = ContextVar("ids", default={})  # noqa: B039 (never changed, only replaced)
@@ -49,18 +50,13 @@ def _numbers(value: object) -> list[int]:
     return [one for one in several if isinstance(one, int)]
 
 
-@contextmanager
-def about(ids: dict[str, Any]) -> Iterator[None]:
+def about(ids: dict[str, Any]) -> AbstractContextManager[None]:
     """Set the ids of lines inside the block, for a worker process.
 
     Args:
         ids: as `ids_now` returns them.
     """
-    token = _given.set(ids)
-    try:
-        yield
-    finally:
-        _given.reset(token)
+    return scoped(_given, ids)
 
 
 class WithIds(logging.Filter):

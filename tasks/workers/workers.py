@@ -12,21 +12,22 @@ import logging
 import logging.handlers
 import multiprocessing
 import multiprocessing.connection
+import multiprocessing.forkserver
 import multiprocessing.synchronize
 import os
 import pickle
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from hfb.tasks.telemetry.structured_log import WithIds, about, ids_now
-from hfb.tasks.workers.engine import Engine, Stopped, WorkerLost, bare
+from hfb.tasks.workers.engine import Engine, Stopped, WorkerLost, bare, engine_of
 
 if TYPE_CHECKING:
     from hfb.tasks.core.handles import Call
@@ -39,8 +40,6 @@ _log = logging.getLogger(__name__)
 _CONVOLUTIONS = "64"
 """Compiled convolutions that oneDNN keeps, in place of 1,024: every size of a crop brings some 50, 90 kB each."""
 _LAST_WORDS_S = 0.5
-_PARENT_ONLY = ("hfb.flows", "hfb.tasks.tracking", "hfb.kernels.warp")
-"""Modules that workers do not need, or that start threads when they are imported."""
 
 
 class _Pool:
@@ -112,8 +111,7 @@ def _context() -> multiprocessing.context.BaseContext:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    ours = [name for name in sys.modules if name.startswith("hfb.") and not name.startswith(_PARENT_ONLY)]
-    context.set_forkserver_preload(["torch", *ours])
+    context.set_forkserver_preload(["hfb.tasks.workers.preloaded"])
     return context
 
 
@@ -162,19 +160,13 @@ class _RecordQueue:
             self._writer.send(record)
 
 
-class _Utilisation:
-    """Duration of steps over many inputs, and the workers' computing time in them."""
-
-    def __init__(self) -> None:
-        self.seconds, self.busy_s = 0.0, 0.0
-
-
 _pool: _Pool | None = None
 _cluster: Cluster | None = None
 _threads = 1
 _last: object = None
 """The function that this worker ran last."""
-_mapped = _Utilisation()
+_mapped = SimpleNamespace(seconds=0.0, busy_s=0.0)
+"""Duration of steps over many inputs, and the workers' computing time in them."""
 
 
 @contextmanager
@@ -191,7 +183,7 @@ def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
     """
     global _pool, _cluster, _threads, _mapped
     engine = Engine(count=engine) if isinstance(engine, int) else engine
-    _mapped = _Utilisation()
+    _mapped = SimpleNamespace(seconds=0.0, busy_s=0.0)
     try:
         if engine.remote:
             from hfb.tasks.workers.clusters import Cluster
@@ -205,6 +197,17 @@ def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
     finally:
         stop_computing()
         _pool, _cluster, _threads = None, None, 1
+
+
+def begin_early(words: str | int) -> None:
+    """Start the process that workers will be forks of, where they are: it imports the method while this one does.
+
+    Args:
+        words: of `--workers`.
+    """
+    engine = engine_of(words)
+    if engine.kind == "processes" and engine.count > 1 and _context().get_start_method() == "forkserver":
+        multiprocessing.forkserver.ensure_running()
 
 
 def worker_count() -> int:

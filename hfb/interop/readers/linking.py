@@ -6,6 +6,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
 
 from hfb.errors import InputError
 from hfb.typing import Array, Float
@@ -29,9 +30,10 @@ class Seen(Protocol):
 
 
 SeenT = TypeVar("SeenT", bound=Seen)
+Ways = Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]
 
 
-def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]) -> list[list[SeenT]]:
+def linked(seen: Sequence[SeenT], ways: Ways[SeenT]) -> list[list[SeenT]]:
     """Group rows by person, in the order of appearance. The order within a frame has no meaning.
 
     Args:
@@ -61,19 +63,16 @@ def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Flo
     return people
 
 
-def pelvis_ways(before: Float[Array, "b 3"], now: Float[Array, "n 3"]) -> Float[Array, "b n"]:
-    """Return distances between the pelvises of two frames as `linked` takes them.
+def pelvis_ways(pelvis: Callable[[SeenT], Float[Array, "3"]]) -> Ways[SeenT]:
+    """Return what gives distances between pelvises, as `linked` takes it.
 
     Args:
-        before: pelvises in the earlier frame [m].
-        now: pelvises in the later one [m].
+        pelvis: returns a person's pelvis [m].
     """
-    return np.linalg.norm(before[:, None] - now, axis=-1) / _PELVIS_REACH_M
+    return lambda before, now: cdist(*([pelvis(one) for one in frame] for frame in (before, now))) / _PELVIS_REACH_M
 
 
-def _followed(
-    before: list[SeenT], now: list[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]
-) -> dict[int, int]:
+def _followed(before: list[SeenT], now: list[SeenT], ways: Ways[SeenT]) -> dict[int, int]:
     """Match the people of `now` with those of `before`, by their places in the lists."""
     if not before:
         return {}

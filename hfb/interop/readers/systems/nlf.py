@@ -69,7 +69,8 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         if len(found) > MAX_PEOPLE or len(spaces) > 1:
             raise InputError("it holds too many people, or poses of several bodies")
     space = "smplx" if spaces == {"smplx"} else "smpl"
-    return [_person(str(name), rows, size, space) for name, rows in enumerate(linked(found, _ways))]
+    people = linked(found, pelvis_ways(lambda one: one.pelvis))
+    return [_person(str(name), rows, size, space) for name, rows in enumerate(people)]
 
 
 def _frames(value: Any) -> list[Any] | None:
@@ -111,11 +112,6 @@ def _look(
             K = camera_of_points(points[row], places[row], focal_of_points(points[row], places[row]))
         rows.append(_Seen(number, bodies[row], shapes[row], points[row, 0], K))
     return [one for one in rows if np.isfinite(one.pelvis).all()]
-
-
-def _ways(before: list[_Seen], now: list[_Seen]) -> Float[Array, "b n"]:
-    """Return distances between pelvises."""
-    return pelvis_ways(*(np.stack([one.pelvis for one in frame]) for frame in (before, now)))
 
 
 def _person(name: str, rows: list[_Seen], size: tuple[int, int], space: Any) -> PoseTrack:

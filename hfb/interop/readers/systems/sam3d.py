@@ -62,7 +62,8 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         _log.warning(
             "%s: %d of %d people are left out: not before the camera", SYSTEM, len(seen) - len(placed), len(seen)
         )
-    return [_person(str(name), rows, size) for name, rows in enumerate(linked(placed, _ways))]
+    people = linked(placed, pelvis_ways(lambda one: one.joints[0]))
+    return [_person(str(name), rows, size) for name, rows in enumerate(people)]
 
 
 def _frames(content: Any) -> list[tuple[int, str | None, list[Any]]]:
@@ -129,11 +130,6 @@ def _camera(
         return pinhole(focal_px, size[1] / 2, size[0] / 2)
     pixels = numbers_at(one, "pred_keypoints_2d", 70, 2, finite=False)
     return camera_of_points(points, pixels, focal_px)
-
-
-def _ways(before: list[_Seen], now: list[_Seen]) -> Float[Array, "b n"]:
-    """Return distances between pelvises."""
-    return pelvis_ways(*(np.stack([one.joints[0] for one in frame]) for frame in (before, now)))
 
 
 def _person(name: str, rows: list[_Seen], size: tuple[int, int]) -> PoseTrack:

@@ -113,7 +113,7 @@ def choose_camera(path: Path, name: str | None, video: str) -> tuple[str, dict[s
     if name is not None:
         number = next((at for at, (key, _) in enumerate(sections) if name in (titles[at], key)), None)
     elif len(sections) > 1:
-        videos = [_text(part.get("video")) for _, part in sections]
+        videos = [found if isinstance(found := part.get("video"), str) else None for _, part in sections]
         number = number_of_camera(list(zip(titles, videos, strict=True)), video)
     if number is None:
         listed = ", ".join(titles[:12])
@@ -122,10 +122,6 @@ def choose_camera(path: Path, name: str | None, video: str) -> tuple[str, dict[s
     key, part = sections[number]
     # A table called `fisheye` says what its numbers are.
     return f"{path}: camera {titles[number]}", {"fisheye": True, **part} if "fisheye" in plain(key) else part
-
-
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) else None
 
 
 def _sections(document: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
