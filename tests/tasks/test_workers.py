@@ -83,6 +83,32 @@ def test_workers_are_spawned_where_nothing_forks(tmp_path: Path, monkeypatch: py
         assert run_local(die_once, tmp_path / "mark") == "survived"
 
 
+def what_is_loaded() -> list[str]:
+    return [name for name in ("hfb.fitting.fit", "prefect", "mlflow") if name in sys.modules]
+
+
+@pytest.mark.skipif("forkserver" not in multiprocessing.get_all_start_methods(), reason="nothing forks here")
+def test_workers_begin_with_the_method_and_their_process_before_them() -> None:
+    script = """
+import multiprocessing.forkserver as fork_server, os
+from pathlib import Path
+from hfb.tasks.workers.workers import begin_early, run_local, workers
+for words in ("1", "threads:2"):
+    begin_early(words)
+    assert fork_server._forkserver._forkserver_pid is None, words
+begin_early("2")
+early = fork_server._forkserver._forkserver_pid
+assert early
+from tests.tasks.test_workers import what_is_loaded
+with workers(2):
+    print(run_local(what_is_loaded))
+assert fork_server._forkserver._forkserver_pid == early
+assert len(list(Path(f"/proc/{early}/task").iterdir())) == 1, "a fork would lack the other threads"
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "['hfb.fitting.fit']\n"), done.stderr
+
+
 def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:
     assert busy_share() is None
     with workers(1, apart=True):
