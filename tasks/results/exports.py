@@ -182,7 +182,7 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
     return written.model_copy(update={"files": (*written.files, *drawn)})
 
 
-@task("films", where="worker")
+@task("films")
 def draw_films(shot: ShotHandle, films: tuple[Film, ...], folder: Path) -> ExportsHandle:
     """Draw films; see `hfb.report.films.slow_motion`.
 
