@@ -196,7 +196,7 @@ class InitConfig(Record):
         "keypoints (RTMPose, RTMW, ViTPose): a network of yours; file: another system's result",
     )
     landmarks: Literal["auto", "heavy", "full"] = Field(
-        "auto", description="MediaPipe's landmark network; auto: heavy where it was fetched, else full"
+        "auto", description="MediaPipe's landmark network; auto: the medians of all that were fetched"
     )
     weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file; keypoints: its ONNX file")
     mesh_sampling: Path | None = Field(

@@ -137,7 +137,10 @@ def networks_ready(choice: LandmarkChoice = "auto") -> bool:
 
 
 class PoseNetworks:
-    """Both networks, loaded; one thread, deterministic.
+    """The networks, loaded; one thread, deterministic.
+
+    Attributes:
+        opinions: numbers of the landmark networks, the best first.
 
     Args:
         choice: choice among the landmark networks.
@@ -150,7 +153,8 @@ class PoseNetworks:
         files = networks_in_use(choice)
         if not files:
             raise InputError("the pose networks are not there; run `hfb models fetch`, or use `--init.method matte`.")
-        self._detector, self._landmarker = map(_load, files)
+        self._detector, *self._landmarkers = map(_load, files)
+        self.opinions = range(len(self._landmarkers))
 
     def detect(self, picture_srgb: Float[Array, "H W 3"], least_score: float = 0.3, most: int = 3) -> list[Region]:
         """Detect people in an image, best first, none overlapping another's centre.
@@ -183,15 +187,16 @@ class PoseNetworks:
                 regions.append(region)
         return regions
 
-    def locate(self, picture_srgb: Float[Array, "H W 3"], region: Region) -> Landmarks:
+    def locate(self, picture_srgb: Float[Array, "H W 3"], region: Region, opinion: int = 0) -> Landmarks:
         """Return the landmarks of the person in a region.
 
         Args:
             picture_srgb: the image.
             region: square around the person.
+            opinion: number of the landmark network that is asked.
         """
         crop = cut_region(picture_srgb, region, _LANDMARK_PX)
-        points, score, world = self._run(self._landmarker, crop, ("Identity", "Identity_1", "Identity_4"))
+        points, score, world = self._run(self._landmarkers[opinion], crop, ("Identity", "Identity_1", "Identity_4"))
         points = points.reshape(39, 5).astype(np.float64)
         cosine, sine = np.cos(region.angle), np.sin(region.angle)
         turn = np.array([[cosine, -sine], [sine, cosine]])

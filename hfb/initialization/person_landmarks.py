@@ -2,12 +2,13 @@
 
 Blur makes the detector miss and the second network invent limbs, whereas the matte shows where the person is. So
 regions come from the detector and from the matte itself, the networks look at the person before a gray and a light
-wall in place of the plate, and every result is drawn as a stick figure and compared with the matte. The best one is
-averaged with what the network says of the other wall and of the mirror images: its errors differ there.
+wall in place of the plate, and every result is drawn as a stick figure and compared with the matte. In the region of
+the best one all landmark networks look at both walls and at their mirror images, where errors differ; medians count.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import cv2
 import numpy as np
@@ -23,11 +24,8 @@ _NEAR, _NOTHING = 0.2, 0.02
 """Share of the matte's box beyond which nothing is the person's, and the alpha below which a matte is empty."""
 _STICK_FIGURE_PX = 128
 _LEAST_SCORE = 0.5
-_SURE_AGREEMENT, _GOOD_AGREEMENT, _REGIONS = 0.65, 0.55, 4
-"""Other regions are tried until the figure is sure, or, after so many of them, good."""
-_SAME_PLACE = 0.5
-"""Of the trunk's length: where a point's places in the image and its mirror image are farther apart, one is another
-limb's."""
+_SURE_AGREEMENT, _GOOD_AGREEMENT, _REGIONS = 0.65, 0.55, 8
+"""Other regions are tried until the figure is sure, or, after so many, good: the first six may be the detector's."""
 # Limbs as (from, to, radius relative to the trunk's length).
 _LIMBS = (
     ("left_shoulder", "left_elbow", 0.10),
@@ -79,33 +77,32 @@ def find_landmarks(
             break
     if best is None:
         return None
-    mean = seen_all_ways(networks, [of_picture, *(one for one in pictures if one is not of_picture)], best[0])
-    return mean, stick_agreement(mean.pixels, matte)
+    median = seen_all_ways(networks, [of_picture, *(one for one in pictures if one is not of_picture)], best[0])
+    return median, stick_agreement(median.pixels, matte)
 
 
 def seen_all_ways(networks: PoseNetworks, pictures: Sequence[Float[Array, "H W 3"]], found: Landmarks) -> Landmarks:
-    """Return the mean of the landmarks in all images and their mirror images, in the same region.
+    """Return the medians of all networks' landmarks in all images and their mirror images, in the same region.
 
-    A point that another look has far away counts there as found. Looks that see nobody do not count.
+    Few of the looks confuse limbs, and not the same ones. Looks that see nobody do not count.
 
     Args:
         networks: loaded pose networks.
-        pictures: the image in which they were found, and others of the same person.
+        pictures: the image in which the best network found them, and others of the same person.
         found: the landmarks.
     """
-    width, near = pictures[0].shape[1], _SAME_PLACE * trunk_length(found.pixels)
-    looks = [networks.locate(picture, found.region) for picture in pictures[1:]]
-    for picture in pictures:
+    width, looks = pictures[0].shape[1], [found]
+    for opinion, picture in product(networks.opinions, pictures):
+        if opinion or picture is not pictures[0]:
+            looks.append(networks.locate(picture, found.region, opinion))
         mirror_image = np.ascontiguousarray(picture[:, ::-1])
-        looks.append(networks.locate(mirror_image, found.region.mirrored(width)).mirrored(width))
+        looks.append(networks.locate(mirror_image, found.region.mirrored(width), opinion).mirrored(width))
     looks = [one for one in looks if one.score >= _LEAST_SCORE]
-    apart = [np.linalg.norm(one.pixels - found.pixels, axis=1, keepdims=True) for one in looks]
-    pixels = [np.where(far < near, one.pixels, found.pixels) for far, one in zip(apart, looks, strict=True)]
     return replace(
         found,
-        pixels=np.mean([found.pixels, *pixels], axis=0),
-        world=np.mean([found.world, *(one.world for one in looks)], axis=0),
-        visibility=np.mean([found.visibility, *(one.visibility for one in looks)], axis=0),
+        pixels=np.median([one.pixels for one in looks], axis=0),
+        world=np.median([one.world for one in looks], axis=0),
+        visibility=np.mean([one.visibility for one in looks], axis=0),
     )
 
 

@@ -101,19 +101,19 @@ def network_path(network: NetworkFile) -> Path | None:
 
 
 def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
-    """Return the detector's and the landmark network's files; none where one is missing.
+    """Return the files of the detector and of the landmark networks, the best first; none where one is missing.
 
     Args:
-        choice: which landmark network; auto takes the heavy one where it is there, else the full one.
+        choice: which landmark network; auto takes those that are there.
 
     Raises:
         InputError: the network that is requested by name is missing.
     """
     detector = network_path(POSE_DETECTION)
     candidates = LANDMARKERS.values() if choice == "auto" else (LANDMARKERS[choice],)
-    landmarker = next((path for one in candidates if (path := network_path(one)) is not None), None)
-    if detector is not None and landmarker is not None:
-        return detector, landmarker
+    landmarkers = [path for one in candidates if (path := network_path(one)) is not None]
+    if detector is not None and landmarkers:
+        return detector, *landmarkers
     if choice != "auto":
         missing = POSE_DETECTION if detector is None else LANDMARKERS[choice]
         raise InputError(f"the pose network {missing.name} is not there; run `hfb models fetch`.")

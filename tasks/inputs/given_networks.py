@@ -137,14 +137,14 @@ def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> I
 
 
 def tell_networks(networks: tuple[FileHandle, ...]) -> None:
-    """Print a line where first bodies come from the smaller landmark network.
+    """Print a line where first bodies come from the smaller landmark network alone.
 
     Args:
         networks: the pose networks in use.
     """
-    if any(file.path.name == LANDMARK_FULL.name for file in networks):
+    if [file.path.name for file in networks[1:]] == [LANDMARK_FULL.name]:
         progress.say(
-            "hfb: MediaPipe's full landmark network is used: `hfb models fetch` brings the heavy one, which is better"
+            "hfb: MediaPipe's full landmark network is used alone: `hfb models fetch` brings the heavy one, too"
         )
 
 

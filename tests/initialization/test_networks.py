@@ -85,8 +85,10 @@ def test_a_network_alone_is_taken_by_its_content(packages: tuple[Path, Path], tm
         networks_in_use("heavy")
 
 
-def test_heavy_is_preferred_and_an_installed_full_keeps_working(packages: tuple[Path, Path], tmp_path: Path) -> None:
-    """What first bodies depend on, and so every cache key, names the landmark network that is used."""
+def test_all_landmark_networks_are_used_and_an_installed_full_keeps_working(
+    packages: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """What first bodies depend on, and so every cache key, names the landmark networks that are used."""
     fetch_networks(files=packages[:1])
     old = networks_at_hand()
     assert [file.path.name for file in old] == ["a.tflite", "b.tflite"]
@@ -94,7 +96,8 @@ def test_heavy_is_preferred_and_an_installed_full_keeps_working(packages: tuple[
         networks_at_hand("heavy")
     fetch_networks(files=packages[1:])
     new = networks_at_hand()
-    assert [file.path.name for file in new] == ["a.tflite", "c.tflite"]
+    assert [file.path.name for file in new] == ["a.tflite", "c.tflite", "b.tflite"]
+    assert [file.path.name for file in networks_at_hand("heavy")] == ["a.tflite", "c.tflite"]
     assert networks_at_hand("full") == old
     check_networks(InitConfig(), new)
     check_networks(InitConfig(landmarks="full"), old)
@@ -208,7 +211,7 @@ def test_the_cache_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_
 
 def test_a_handle_of_every_network_has_its_digest(packages: tuple[Path, Path]) -> None:
     fetch_networks(files=packages)
-    assert [one.sha256 for one in networks_at_hand()] == [networks.NETWORKS[0].sha256, networks.NETWORKS[2].sha256]
+    assert [one.sha256 for one in networks_at_hand()] == [networks.NETWORKS[n].sha256 for n in (0, 2, 1)]
     assert all(isinstance(one, FileHandle) for one in networks_at_hand())
 
 
