@@ -178,23 +178,21 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
     for reason in (*written.left_out, *doubts):
         progress.say(f"hfb: {reason}")
     films = tuple(dict.fromkeys(config.films))
-    drawn = draw_films(shot, films, folder).files if films else ()
-    return written.model_copy(update={"files": (*written.files, *drawn)})
+    with ThreadPoolExecutor(len(films) + 1, "hfb-film") as pool:
+        drawn = [pool.submit(copy_context().run, draw_film, shot, film, folder) for film in films]
+        return written.model_copy(update={"files": (*written.files, *(one.result() for one in drawn))})
 
 
-@task("films")
-def draw_films(shot: ShotHandle, films: tuple[Film, ...], folder: Path) -> ExportsHandle:
-    """Draw films; see `hfb.report.films.slow_motion`.
+@task("film", where="worker")
+def draw_film(shot: ShotHandle, film: Film, folder: Path) -> FileHandle:
+    """Draw one film, where there are workers in one of them: films of a clip need more memory than all else of it here.
 
     Args:
         shot: motion, body, plate and frames.
-        films: which.
-        folder: where they go.
+        film: which, see `hfb.report.films.slow_motion`.
+        folder: where it goes.
     """
-    loaded = shot.load()
-    with ThreadPoolExecutor(len(films), "hfb-film") as pool:
-        drawn = [pool.submit(copy_context().run, write_film, film, loaded, folder) for film in films]
-        return ExportsHandle(files=tuple(FileHandle.of(one.result()) for one in drawn))
+    return FileHandle.of(write_film(film, shot.load(), folder))
 
 
 def write_film(film: Film, shot: Shot, folder: Path) -> Path:
