@@ -125,7 +125,7 @@ def test_the_median_of_all_networks_walls_and_mirror_images_counts() -> None:
     shifts = {0: 4.0, 1: 8.0, 2: 16.0, 3: 100.0}
 
     class Walls(PoseNetworks):
-        """Network and picture say how far the person seems to be moved; in the last picture they see nobody."""
+        """Network and picture say how far the person is moved; the third confuses limbs, the last shows nobody."""
 
         opinions = range(2)
 
@@ -134,6 +134,7 @@ def test_the_median_of_all_networks_walls_and_mirror_images_counts() -> None:
         def locate(self, picture_srgb: np.ndarray, region: Region, opinion: int = 0) -> Landmarks:
             level = int(picture_srgb[0, 0, 0])
             moved = replace(found, world=found.world + shifts[level] + opinion, score=0.2 if level == 3 else 0.9)
+            moved = replace(moved, pixels=found.pixels + (40 if level == 2 else 0))
             return moved if region == found.region else replace(moved, world=found.world + 1 - opinion).mirrored(100)
 
     pictures = [np.full((100, 100, 3), level, np.float32) for level in shifts]
