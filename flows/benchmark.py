@@ -11,6 +11,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 from hfb.config import InitConfig, MattingConfig, Record
 from hfb.datasets.case import case_name
 from hfb.datasets.real.real_spec import RealSpec
+from hfb.datasets.set_spec import listing_of
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.evaluation.experiments import Experiment
@@ -26,10 +27,8 @@ from hfb.tasks.benchmark.cases import (
     SourcesHandle,
     Spec,
     find_sources,
-    listing_of,
     make_case,
     see_case,
-    set_name,
 )
 from hfb.tasks.benchmark.judge_case import JudgeCall, judge_case
 from hfb.tasks.core.result_records import records_in
@@ -106,7 +105,7 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
             check_tree(out, case_name(number))
         sources, cases, skipped = _made(spec, count, folder, cases_folder=out, out=out)
         result = {
-            "set": set_name(spec),
+            "set": spec.set,
             "count": len(cases),
             "skipped": len(skipped),
             "skipped_reasons": skipped,
@@ -167,7 +166,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         names = tuple(method.name for method in plan.methods)
         results = tabulate(
             judged=rows,
-            set_name=set_name(spec),
+            set_name=spec.set,
             frames=spec.frames,
             methods=names,
             count=len(ready),
@@ -198,7 +197,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         result = {**results.content(), **places, "mlflow_run_id": None, "mlflow_link": None}
         try:
             run = record_benchmark(
-                name=set_name(spec),
+                name=spec.set,
                 params=_params(plan),
                 methods=_options(plan),
                 results=results,

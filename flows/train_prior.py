@@ -11,10 +11,10 @@ from typing import Any, Literal
 from pydantic import Field
 
 from hfb.config import Record
+from hfb.datasets.set_spec import listing_of
 from hfb.errors import InputError
 from hfb.flows.runtime.recorded_flow import recorded_flow
 from hfb.io.json_file import read_json
-from hfb.tasks.benchmark.cases import listing_of
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in

@@ -265,6 +265,9 @@ class FitConfig(Record):
     degree: int = Field(2, ge=1, le=6, description="d, degree of the motion polynomials")
     rotation: Literal["quaternion", "axis-angle"] = Field("quaternion", description="the 4 dof of a rotation")
     silhouette: Literal["coverage", "dibr"] = Field("coverage", description="exact pixel share, or DIB-R's soft mask")
+    dibr_sharpness: float = Field(
+        1.0, gt=0, le=100, description="how many times narrower DIB-R's halo is than with its public constants"
+    )
     rasterizer: Literal["cpu", "reference", "cuda", "warp"] = Field(
         "cpu",
         description="cpu: numba; reference: readable torch; cuda: the fit on a GPU; warp: the same on the processor",
@@ -431,6 +434,7 @@ _PAPER = FitConfig(
     degree=2,
     rotation="axis-angle",
     silhouette="dibr",
+    dibr_sharpness=10.0,  # the halo of 1 makes limbs two pixels wider at 256 px
     origin=0.0,
     stages=(Stage(size_px=256, iterations=200, learning_rate=0.01),),
     shape_rate=1.0,

@@ -26,3 +26,13 @@ class SetSpec(Record):
     backgrounds: Path | None = Field(None, description="a folder of pictures; generated rooms when not given")
     textures: Path | None = Field(None, description="a folder of UV textures of the body; generated when not given")
     body: Path | None = Field(None, description="a SMPL .npz or .pkl file; the embedded body when not given")
+
+
+def listing_of(*folders: Path | None) -> str:
+    """List folders by name, size and time of change of their files; hashing a large library would take minutes.
+
+    Args:
+        *folders: folders, or None.
+    """
+    found = [(folder, path) for folder in folders if folder for path in sorted(folder.rglob("*")) if path.is_file()]
+    return "\n".join(f"{one.relative_to(at)} {one.stat().st_size} {one.stat().st_mtime_ns}" for at, one in found)

@@ -176,10 +176,7 @@ class BatchedObjective:
             first, body=first.body.on(device), first=first.first.to(device), texels=None, visible=None
         )
         self._like = variables[0].trajectory
-        self._known = {
-            "first": stacked([one.first for one in objectives]),
-            "anchor": stacked([one.trajectory.anchor for one in variables]),
-        }
+        self._known = {"first": stacked([one.first for one in objectives])}
         references = [one.reference for one in variables if one.reference is not None]
         if references:
             self._known["reference"] = stacked(references)
@@ -244,7 +241,7 @@ class BatchedObjective:
         if objective.evidence is not None:
             told: dict[str, Any] = {name: known[name] for name in _EVIDENCE}
             objective = replace(objective, evidence=replace(objective.evidence, **told))
-        trajectory = replace(self._like, rotation=rotation, translation=translation, anchor=known["anchor"])
+        trajectory = replace(self._like, rotation=rotation, translation=translation)
         variables = Variables(trajectory, betas, betas.new_empty(0, 0, 3), known.get("reference"))
         return objective, variables.motion(objective.body)
 

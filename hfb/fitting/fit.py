@@ -341,7 +341,10 @@ class _Schedule:
             initial.observation,
             body,
             make_rasterizer(
-                config.silhouette, "reference" if config.rasterizer == "reference" else "cpu", config.threads
+                config.silhouette,
+                "reference" if config.rasterizer == "reference" else "cpu",
+                config.threads,
+                config.dibr_sharpness,
             ),
             self.pose_prior,
             weights,

@@ -48,12 +48,11 @@ class FloorShadeMatting:
 
     Args:
         matting: the other one.
-        networks: loads the pose networks; called at the first matte in which shade is suspected.
+        networks: returns the pose networks; called for a matte in which shade is suspected.
     """
 
     def __init__(self, matting: Matting, networks: Callable[[], PoseNetworks]) -> None:
-        self._matting, self._load = matting, networks
-        self._networks: PoseNetworks | None = None
+        self._matting, self._networks = matting, networks
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """See `Matting`."""
@@ -68,8 +67,7 @@ class FloorShadeMatting:
             return matte
         rest = np.zeros_like(matte)
         rest[inner] = alone
-        self._networks = self._networks or self._load()
-        found = find_landmarks(self._networks, frame, plate, rest)
+        found = find_landmarks(self._networks(), frame, plate, rest)
         if found is None or found[1] < max(_LEAST_AGREEMENT, stick_agreement(found[0].pixels, matte)):
             return matte
         deep = shade_likelihood(*images, _DARKEST)

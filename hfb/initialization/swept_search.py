@@ -5,6 +5,7 @@ is searched together with the body: generic poses are smeared along the image's 
 matte.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -25,6 +26,7 @@ _LONGEST = 4.5  # paths, in template spreads: about twice a person's height
 _CANDIDATES = 3
 _BACK_COST = 0.01
 _ROUGH, _FINE = SilhouetteStage(56, 30, 0.05, shape=False), SilhouetteStage(80, 35, 0.02)
+_GENTLE = replace(_ROUGH, learning_rate=0.03)
 _STAY = Stay(prior=0.004, betas=0.05)
 
 
@@ -74,7 +76,7 @@ def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, 
         for start, first, travel in zip(starts, firsts, moved, strict=True)
     ]
     best = max(range(len(values)), key=values.__getitem__)
-    return refined_swept(SweptBody(firsts[best], moved[best], 0.0), *scene, _STAY)
+    return carried_along(firsts[best], moved[best], *scene, _STAY, (_FINE,))
 
 
 def carried_along(
@@ -85,6 +87,7 @@ def carried_along(
     body: Body,
     rasterizer: Rasterizer,
     stay: Stay,
+    stages: Sequence[SilhouetteStage] = (_GENTLE, _FINE),
 ) -> SweptBody:
     """Move a body that was found at rest along a path: its pose is more accurate, the path's size is.
 
@@ -96,26 +99,9 @@ def carried_along(
         body: the body model.
         rasterizer: renders the silhouettes.
         stay: weights that hold the result near the start.
+        stages: image sizes and iterations, the last with the shape.
     """
-    rough = replace(_ROUGH, learning_rate=0.03)
-    first, travel = refine_swept(first, path_m, matte, camera, body, rasterizer, [rough], stay)
-    return refined_swept(SweptBody(first, travel, 0.0), matte, camera, body, rasterizer, stay)
-
-
-def refined_swept(
-    swept: SweptBody, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer, stay: Stay
-) -> SweptBody:
-    """Fit the body to the matte once more, at a finer size, with the shape.
-
-    Args:
-        swept: body and path to start from.
-        matte: the person's share of each pixel.
-        camera: camera of the image.
-        body: the body model.
-        rasterizer: renders the silhouettes.
-        stay: weights that hold the result near the start.
-    """
-    first, travel = refine_swept(swept.first, swept.travel_m, matte, camera, body, rasterizer, [_FINE], stay)
+    first, travel = refine_swept(first, path_m, matte, camera, body, rasterizer, stages, stay)
     level = matte_level(matte, camera, _FINE.size_px)
     return SweptBody(first, travel, overlap(first, level, body, rasterizer, travel))
 

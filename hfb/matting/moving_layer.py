@@ -8,12 +8,15 @@ and its doubt bounds the distance from it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+import torch
 
 from hfb.kernels import matting_layer as kernels_layer
+from hfb.kernels.threads import run_tasks
 from hfb.matting.matte_network import quiet_noise
 from hfb.matting.second_look import unmixed_colours
 from hfb.photometry import linear_to_srgb
@@ -166,7 +169,8 @@ def explained_matte(
             layers = [layer.at(scene) for layer in layers]
         if step is _ROUNDS[-1]:  # one is left: nothing is compared any more
             scene = scene.trusted_less(_far(answers[0].way, scene.alpha.shape[::-1]))
-        answers = sorted((_follow(layer, scene, step) for layer in layers), key=lambda answer: answer.oddness)
+        followed = run_tasks(partial(_follow, layers, scene, step), len(layers), torch.get_num_threads())
+        answers = sorted(followed, key=lambda answer: answer.oddness)
         layers = [answer.layer for answer in answers[: step.kept]]
     found = answers[0]
     size = alpha.shape[::-1]
@@ -198,8 +202,9 @@ class _Answer(NamedTuple):
     layer: _Layer
 
 
-def _follow(layer: _Layer, scene: _Scene, step: _Round) -> _Answer:
-    """Run Adam, in place."""
+def _follow(tries: Sequence[_Layer], scene: _Scene, step: _Round, number: int) -> _Answer:
+    """Run Adam on one of the tries, in place."""
+    layer = tries[number]
     size, cells = layer.logits.shape, layer.bend.shape
     weights = np.array([_ROBUST, _SOFT, _COLOURS, _OUTLINE, _BEND], np.float32)
     rates = np.array([*_RATES[:2], _RATES[2] * step.free], np.float32)

@@ -9,6 +9,7 @@ import torch
 from safetensors.torch import load_file
 
 from hfb.kernels.determinism import one_torch_thread
+from hfb.kernels.threads import run_tasks
 from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.matte_network import CHANNELS, MatteNetwork, features
@@ -210,11 +211,16 @@ def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[A
     height, width = seen.shape[1:]
     wanting = [(0, 0), (0, max(0, _LEAST_PX - height)), (0, max(0, _LEAST_PX - width))]
     picture = torch.from_numpy(np.pad(seen, wanting, mode="edge"))[None]
-    with one_torch_thread(), torch.inference_mode():
-        both = torch.cat([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
-        output = network(both)
-        output = torch.stack([torch.sigmoid(output[:, 0]), output[:, 1]])
-        alpha, doubt = ((output[:, 0] + output[:, 1].flip(-1)) / 2).numpy()
+
+    def ask(mirrored: int) -> torch.Tensor:
+        with one_torch_thread(), torch.inference_mode():
+            one = picture.flip(-1) if mirrored else picture
+            output = network(one.contiguous(memory_format=torch.channels_last))[0]
+            output = torch.stack([torch.sigmoid(output[0]), output[1]])
+            return output.flip(-1) if mirrored else output
+
+    there, here = run_tasks(ask, 2, torch.get_num_threads())
+    alpha, doubt = ((there + here) / 2).numpy()
     return alpha[:height, :width].copy(), doubt[:height, :width].copy()
 
 

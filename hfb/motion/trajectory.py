@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
+from torch.nn.functional import normalize
 
 from hfb.geometry.rotations import (
     axis_angle_to_matrix,
@@ -28,18 +29,17 @@ class Trajectory:
 
     ``quaternion``: 4 dof per rotation, normalised after evaluation (never singular); the translation is
     plain xyz [m] and its fourth column unused. ``axis-angle``, the paper's: axis (3) and angle (1) per
-    rotation; the translation is anchor + direction (3) * distance (1).
+    rotation, direction (3) and distance (1) [m] of the translation, as seen from the camera: counted from the start,
+    whose distance would be 0, the direction would have no effect.
 
     Attributes:
         rotation: coefficients, the constants first.
         translation: coefficients, the constants first.
-        anchor: origin of the distances of the ``axis-angle`` kind [m].
         origin: the u at which all higher terms vanish (0: start of the exposure, 0.5: its middle).
     """
 
     rotation: Float[Tensor, "T D1 24 4"]
     translation: Float[Tensor, "T D1 4"]
-    anchor: Float[Tensor, "T 3"]
     kind: RotationKind = "quaternion"
     origin: float = 0.0
 
@@ -67,8 +67,8 @@ class Trajectory:
         curve = torch.einsum("sd,tdjc->tsjc", powers, self.rotation)
         if self.kind == "quaternion":
             return quaternion_to_matrix(normalize_quaternion(curve)), path[..., :3]
-        axis_angle = _unit(curve[..., :3]) * curve[..., 3:]
-        return axis_angle_to_matrix(axis_angle), self.anchor[:, None] + _unit(path[..., :3]) * path[..., 3:]
+        axis_angle = normalize(curve[..., :3], dim=-1) * curve[..., 3:]
+        return axis_angle_to_matrix(axis_angle), normalize(path[..., :3], dim=-1) * path[..., 3:]
 
     def enlarged(
         self, factor: Float[Tensor, ""], pelvis: Float[Tensor, "3"], new_pelvis: Float[Tensor, "3"]
@@ -84,10 +84,6 @@ class Trajectory:
         constants = path[:, :1] + factor * pelvis - new_pelvis
         moved = torch.cat([torch.cat([constants, path[:, 1:]], 1), self.translation[..., 3:]], -1)
         return replace(self, translation=moved)
-
-
-def _unit(vector: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
-    return vector * ((vector * vector).sum(-1, keepdim=True) + 1e-12).rsqrt()
 
 
 def trajectory_at_rest(
@@ -116,11 +112,17 @@ def trajectory_at_rest(
         rotation[:, 0] = constants
         translation[:, 0, :3] = translations
     else:
-        angle = poses.norm(dim=-1, keepdim=True)
-        rotation[:, 0, :, :3] = torch.where(angle > 1e-6, poses / angle.clamp_min(1e-6), poses.new_tensor([1.0, 0, 0]))
-        rotation[:, 0, :, 3:] = angle.clamp_min(_SMALLEST_START_ANGLE)
-        translation[:, 0, 0] = 1.0
-    return Trajectory(rotation, translation, translations.clone(), kind, origin)
+        rotation[:, 0] = _with_length(poses)
+        rotation[:, 0, :, 3].clamp_min_(_SMALLEST_START_ANGLE)
+        translation[:, 0] = _with_length(translations)
+    return Trajectory(rotation, translation, kind, origin)
+
+
+def _with_length(vectors: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 4"]:
+    """Return the direction, x where there is none, and the length of each vector."""
+    length = vectors.norm(dim=-1, keepdim=True)
+    direction = torch.where(length > 1e-6, normalize(vectors, dim=-1), vectors.new_tensor([1.0, 0, 0]))
+    return torch.cat([direction, length], -1)
 
 
 def move_towards_neighbours(trajectory: Trajectory, interval_u: float) -> Trajectory:

@@ -11,6 +11,7 @@ def make_rasterizer(
     silhouette: Literal["coverage", "dibr"] = "coverage",
     backend: Literal["cpu", "reference", "cuda", "warp"] = "cpu",
     threads: int = 1,
+    sharpness: float = 1.0,
 ) -> Rasterizer:
     """Choose how silhouettes are drawn.
 
@@ -20,6 +21,7 @@ def make_rasterizer(
         backend: "cpu" are the compiled kernels, "reference" the readable torch formulas they are tested against, "cuda"
             the Warp kernels on a CUDA device, "warp" the same on one thread of the processor.
         threads: number of the compiled kernels' threads; results do not depend on it.
+        sharpness: of DIB-R's mask, see `hfb.rendering.reference_dibr.dibr_constants`.
 
     Raises:
         InputError: Warp or a CUDA device is missing, or the Warp kernels do not support the silhouette.
@@ -27,12 +29,12 @@ def make_rasterizer(
     if backend == "reference":
         from hfb.rendering.reference import ReferenceRasterizer
 
-        return ReferenceRasterizer(silhouette)
+        return ReferenceRasterizer(silhouette, sharpness)
     if backend in ("cuda", "warp"):
         return _make_warp_rasterizer(silhouette, "cuda" if backend == "cuda" else "cpu")
     from hfb.rendering.cpu import CpuRasterizer
 
-    return CpuRasterizer(silhouette, threads)
+    return CpuRasterizer(silhouette, threads, sharpness)
 
 
 def _make_warp_rasterizer(silhouette: str, device: str) -> Rasterizer:

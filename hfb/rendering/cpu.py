@@ -20,11 +20,13 @@ class CpuRasterizer:
     Args:
         silhouette: exact coverage, or DIB-R's mask.
         threads: number of threads; results do not depend on it.
+        sharpness: of DIB-R's mask, see `hfb.rendering.reference_dibr.dibr_constants`.
     """
 
-    def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage", threads: int = 1) -> None:
-        self.silhouette = silhouette
-        self.threads = threads
+    def __init__(
+        self, silhouette: Literal["coverage", "dibr"] = "coverage", threads: int = 1, sharpness: float = 1.0
+    ) -> None:
+        self.silhouette, self.threads, self._sharpness = silhouette, threads, sharpness
         self._tables: tuple[Mesh, Tensor, list[Tensor]] | None = None
         self._kept: tuple[Mesh, PinholeCamera, bool, Setting] | None = None
 
@@ -46,7 +48,7 @@ class CpuRasterizer:
     ) -> tuple[Tensor, list[Tensor], list[float], list[float], bool, int]:
         """Return the arguments that do not depend on bodies and texture."""
         lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height]
-        soft = dibr_constants(camera) if self.silhouette == "dibr" else (0.0, 0.0, 0)
+        soft = dibr_constants(camera, self._sharpness) if self.silhouette == "dibr" else (0.0, 0.0, 0)
         numbers = [float(value) for value in lens], [float(value) for value in soft]
         return *self._of_mesh(mesh), *numbers, mean, self.threads
 

@@ -256,10 +256,11 @@ class ReferenceRasterizer(Rasterizer):
 
     Args:
         silhouette: exact coverage, or DIB-R's mask.
+        sharpness: of DIB-R's mask, see `hfb.rendering.reference_dibr.dibr_constants`.
     """
 
-    def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage") -> None:
-        self.silhouette = silhouette
+    def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage", sharpness: float = 1.0) -> None:
+        self.silhouette, self._sharpness = silhouette, sharpness
 
     def _body(
         self, vertices: Float[Tensor, "V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
@@ -275,7 +276,8 @@ class ReferenceRasterizer(Rasterizer):
         inside = seen >= 0
         if self.silhouette == "dibr":
             countable = usable[faces].all(1)
-            alpha, sides = soft_mask(xy, faces[countable], countable.nonzero().squeeze(1), inside, camera)
+            owners = countable.nonzero().squeeze(1)
+            alpha, sides = soft_mask(xy, faces[countable], owners, inside, camera, self._sharpness)
             rim = sides[..., 2] >= 0
         else:
             alpha, closest = coverage(xy, edges, height, width), rim_edges(xy, edges, height, width)

@@ -21,13 +21,14 @@ NEAREST_FACES = 30
 TIE = 1e-9  # squared distances [px^2] closer than this are equal
 
 
-def dibr_constants(camera: PinholeCamera) -> tuple[float, float, int]:
+def dibr_constants(camera: PinholeCamera, sharpness: float = 1.0) -> tuple[float, float, int]:
     """Return DIB-R's constants for an image size: 1 / delta [1/px^2], reach [px], number of faces.
 
     Args:
         camera: pinhole camera; its height and width are the image's.
+        sharpness: how many times narrower the halo is than with the constants of the public implementations.
     """
-    unit_px = max(camera.height, camera.width) / 2
+    unit_px = max(camera.height, camera.width) / 2 / sharpness
     return INVERSE_DELTA / unit_px**2, REACH * unit_px, NEAREST_FACES
 
 
@@ -37,6 +38,7 @@ def soft_mask(
     owners: Int[Tensor, "F"],
     covered: Bool[Tensor, "H W"],
     camera: PinholeCamera,
+    sharpness: float = 1.0,
 ) -> tuple[Float[Tensor, "H W"], Int[Tensor, "H W 3"]]:
     """Return R_S, and for each pixel of the halo the nearest side of a face: (from, to, owner), owner -1 elsewhere.
 
@@ -46,8 +48,9 @@ def soft_mask(
         owners: numbers by which the result names the faces.
         covered: pixels inside the silhouette.
         camera: pinhole camera; its height and width are the image's.
+        sharpness: see `dibr_constants`.
     """
-    inverse_delta, reach, most = dibr_constants(camera)
+    inverse_delta, reach, most = dibr_constants(camera, sharpness)
     corners = xy[faces]
     low, high = corners.detach().amin(1) - reach, corners.detach().amax(1) + reach
     alphas, sides = [], []

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 from hfb.config import CameraConfig, ExposureConfig, InitConfig, MattingConfig, Record
-from hfb.datasets.blur_bins import SetName
 from hfb.datasets.case import Case, case_name, load_case
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
@@ -213,34 +212,6 @@ def see_case(call: SeeCall) -> ReadyHandle:
     path = folder / "initial.json"
     write_bytes_atomic(path, json.dumps(scores, allow_nan=False).encode())
     return ReadyHandle(case=call.case, clip=clip, mattes=mattes, starts=starts, initial=FileHandle.of(path))
-
-
-def set_name(spec: Spec) -> SetName:
-    """Return the name of the set, as on the command line.
-
-    Args:
-        spec: the set.
-    """
-    return spec.set
-
-
-def listing_of(*folders: Path | None) -> str:
-    """List folders by name, size and time of change of their files; hashing a large library would take minutes.
-
-    Args:
-        *folders: folders, or None.
-    """
-    lines: list[str] = []
-    for folder in folders:
-        if folder is not None:
-            files = sorted(path for path in folder.rglob("*") if path.is_file())
-            lines += [f"{path.relative_to(folder)} {_stamp(path)}" for path in files]
-    return "\n".join(lines)
-
-
-def _stamp(path: Path) -> str:
-    facts = path.stat()
-    return f"{facts.st_size} {facts.st_mtime_ns}"
 
 
 def _starts(

@@ -294,7 +294,10 @@ def _run_timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, 
 
 
 def _return_memory() -> None:
-    """Give what the last kind of task has freed back to the system, before another kind lays its own beside it."""
+    """Give what the last kind of task has used back to the system, before another kind lays its own beside it."""
+    from hfb.initialization.landmarks import forget_networks
+
+    forget_networks()
     with suppress(OSError, AttributeError):  # another system's C library
         ctypes.CDLL(None).malloc_trim(0)
 

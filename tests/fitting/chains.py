@@ -55,7 +55,7 @@ def window_fits(
         rotation, path = (torch.stack(parts) for parts in zip(*pieces, strict=True))
         rotation = rotation + noise * torch.randn(rotation.shape, generator=generator, dtype=torch.float64)
         path = path + noise * torch.randn(path.shape, generator=generator, dtype=torch.float64)
-        trajectory = Trajectory(rotation.float(), path.float(), path[:, 0, :3].float(), "quaternion", 0.5)
+        trajectory = Trajectory(rotation.float(), path.float(), "quaternion", 0.5)
         fits.append(WindowFit(window.frames, window.segment, trajectory, PERSON.betas, None, None, 0.0, 0.0))
     return fits
 

@@ -8,7 +8,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.config import Weights
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.motion.trajectory import trajectory_at_rest
+from hfb.motion.trajectory import Trajectory, trajectory_at_rest
 from hfb.objective.objective import Objective
 from hfb.objective.texture import texel_neighbours
 from hfb.priors.anatomy import AnatomicalPrior
@@ -65,13 +65,7 @@ def objective_and_leaves(kind: str, silhouette: str, backend: str) -> tuple[Obje
 
 
 def loss_of(objective: Objective, kind: str, leaves: dict[str, torch.Tensor]) -> torch.Tensor:
-    still = trajectory_at_rest(
-        leaves["rotation"][:, 0, :, :3].detach(), leaves["translation"][:, 0, :3].detach(), 2, kind
-    )
-    trajectory = replace(
-        still, anchor=torch.tensor([[0.0, 0.1, 3.4]] * 2, dtype=torch.float64) if kind != "quaternion" else still.anchor
-    )
-    trajectory = trajectory.with_coefficients(leaves["rotation"], leaves["translation"])
+    trajectory = Trajectory(leaves["rotation"], leaves["translation"], kind)
     return objective.total(objective.terms(trajectory, leaves["betas"], leaves["texture"]))
 
 

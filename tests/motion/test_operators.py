@@ -13,7 +13,7 @@ def test_motions_and_gradients_are_the_readable_ones() -> None:
     generator = torch.Generator().manual_seed(0)
     rotation = torch.randn(2, 3, 24, 4, generator=generator, dtype=torch.float64).requires_grad_()
     translation = torch.randn(2, 3, 4, generator=generator, dtype=torch.float64).requires_grad_()
-    trajectory = Trajectory(rotation, translation, torch.zeros(2, 3, dtype=torch.float64), origin=0.3)
+    trajectory = Trajectory(rotation, translation, origin=0.3)
     clock = torch.rand(5, generator=generator, dtype=torch.float64)
     weights = torch.randn(2, 5, 24, 3, 3, generator=generator, dtype=torch.float64)
     pulls = torch.randn(2, 5, 3, generator=generator, dtype=torch.float64)

@@ -60,6 +60,20 @@ def test_at_rest_every_subframe_is_the_first_body(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_at_rest_a_body_can_move_to_all_sides(kind: str) -> None:
+    """A distance counted from the start would be 0, and its direction without effect."""
+    poses, translations = random_poses(1)
+    still = trajectory_at_rest(poses, translations, 2, kind)
+
+    def place(constants: torch.Tensor) -> torch.Tensor:
+        translation = torch.cat([constants, still.translation[0, 1:]])[None]
+        return still.with_coefficients(still.rotation, translation).at(torch.zeros(1, dtype=torch.float64))[1][0, 0]
+
+    moves = torch.autograd.functional.jacobian(place, still.translation[0, :1])
+    assert torch.linalg.matrix_rank(moves.flatten(1)) == 3
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("origin", [0.0, 0.5])
 def test_rotations_are_rotations(kind: str, origin: float) -> None:
     trajectory = moving(trajectory_at_rest(*random_poses(2), 3, kind, origin))

@@ -147,6 +147,9 @@ def test_dibr_draws_a_halo_and_coverage_does_not() -> None:
     }
     assert (area["coverage"] / fine).item() == pytest.approx(1, abs=1e-3)
     assert area["dibr"] / fine > 1.5
+    sharp = [make_rasterizer("dibr", one, 1, 10.0).silhouette_mean(body, camera, mesh) for one in ("cpu", "reference")]
+    assert 1 < sharp[0].sum() / fine < 1.2
+    torch.testing.assert_close(sharp[0], sharp[1], rtol=0, atol=1e-6)
 
 
 PLACES = {

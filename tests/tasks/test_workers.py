@@ -9,10 +9,13 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from hfb.initialization import landmarks
 from hfb.matting.network import NetworkMatting
 from hfb.tasks.workers.engine import Stopped
 from hfb.tasks.workers.workers import WorkerLost, busy_share, measure_utilisation, run_local, stop_computing, workers
@@ -133,6 +136,29 @@ def test_another_kind_of_work_begins_without_the_memory_of_the_last() -> None:
     with workers(1, apart=True):
         run_local(leave_free_memory)
         assert run_local(resident_mb) < run_local(leave_free_memory) - 100
+
+
+def test_a_worker_loads_a_pose_network_once_and_forgets_it_for_other_work() -> None:
+    with workers(1, apart=True):
+        assert [run_local(load_network) for _ in range(3)] == [1, 1, 1]
+        assert run_local(held_networks) == 0
+        assert run_local(load_network) == 2
+
+
+def load_network() -> int:
+    """Load a network that only counts; return how often this process did."""
+
+    def interpreter(**_: object) -> SimpleNamespace:
+        _held.append(b"")
+        return SimpleNamespace(allocate_tensors=lambda: None)
+
+    sys.modules["ai_edge_litert.interpreter"] = cast(ModuleType, SimpleNamespace(Interpreter=interpreter))
+    landmarks._load(Path("network.tflite"))
+    return len(_held)
+
+
+def held_networks() -> int:
+    return landmarks._load.cache_info().currsize
 
 
 def test_a_worker_does_not_grow_with_the_sizes_of_crops(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,6 +27,7 @@ from hfb.datasets.real.true_joints import (
 )
 from hfb.datasets.real.truth_source import TRUTH_SOURCES, truth_kind, truth_offsets_mm
 from hfb.datasets.real.view import Box, View, box_of_change, box_of_joints, make_view
+from hfb.datasets.set_spec import listing_of
 from hfb.datasets.synthetic.sharp import save_sharp
 from hfb.datasets.truth import JointTruth, save_joint_truth
 from hfb.errors import InputError
@@ -52,7 +53,7 @@ def make_numbered_real_case(spec: RealSpec, number: int, folder: Path) -> Case:
     Raises:
         InputError: there are fewer windows, or no case can be made from this one.
     """
-    order = _order(spec, _stamp(spec.videos))
+    order = _order(spec, listing_of(*spec.videos))
     if not 1 <= number <= len(order):
         folders = ", ".join(str(folder) for folder in spec.videos)
         raise InputError(f"{folders}: {len(order)} windows in all, there is no case {number}; ask for fewer.")
@@ -233,14 +234,8 @@ def _facts(
     }
 
 
-def _stamp(folders: tuple[Path, ...]) -> tuple[tuple[str, int, int], ...]:
-    """Return the folders' files by name, size and time of change."""
-    files = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
-    return tuple((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
-
-
 @lru_cache(maxsize=2)
-def _order(spec: RealSpec, stamp: tuple[tuple[str, int, int], ...]) -> tuple[RealWindow, ...]:
+def _order(spec: RealSpec, listing: str) -> tuple[RealWindow, ...]:
     """Return the set's windows in their order; cached per process while the files are unchanged."""
     windows, _ = real_windows(spec)
     return tuple(choose(windows, len(windows), spec.seed))

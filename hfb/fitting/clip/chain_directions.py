@@ -90,7 +90,6 @@ def _nodes(ordered: Sequence[WindowFit]) -> _Nodes:
         motions[0],
         rotation=torch.cat([motion.rotation for motion in motions]),
         translation=torch.cat([motion.translation for motion in motions]),
-        anchor=torch.cat([motion.anchor for motion in motions]),
     )
     return _Nodes(stacked, owner, place, frame, np.diff(segment) == 0)
 

@@ -216,15 +216,12 @@ def _stacked(ordered: Sequence[WindowFit], places: Sequence[tuple[int, int]]) ->
         ordered[0].trajectory,
         rotation=parts("rotation").double(),
         translation=parts("translation").double(),
-        anchor=parts("anchor").double(),
     )
 
 
 def _rows(motion: Trajectory, rows: Int[Array, "E"]) -> Trajectory:
     index = torch.from_numpy(rows)
-    return replace(
-        motion, rotation=motion.rotation[index], translation=motion.translation[index], anchor=motion.anchor[index]
-    )
+    return replace(motion, rotation=motion.rotation[index], translation=motion.translation[index])
 
 
 def _evaluated(motion: Trajectory, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:

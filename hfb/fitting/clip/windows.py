@@ -258,7 +258,6 @@ def save_window(path: Path, found: WindowFit) -> None:
         "betas": found.betas.double().numpy(),
         "rotation": motion.rotation.detach().numpy(),
         "translation": motion.translation.detach().numpy(),
-        "anchor": motion.anchor.detach().numpy(),
         "kind": np.array(motion.kind),
         "origin": np.array(motion.origin),
         "loss": np.array(found.loss),
@@ -288,7 +287,6 @@ def load_window(path: Path) -> WindowFit:
         motion = Trajectory(
             torch.from_numpy(content["rotation"]),
             torch.from_numpy(content["translation"]),
-            torch.from_numpy(content["anchor"]),
             "axis-angle" if str(content["kind"]) == "axis-angle" else "quaternion",
             float(content["origin"]),
         )
