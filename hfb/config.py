@@ -439,7 +439,7 @@ _PAPER = FitConfig(
     stages=(Stage(size_px=256, iterations=200, learning_rate=0.01),),
     shape_rate=1.0,
     weights=Weights(
-        image=1, matte=1, texture=0.1, pose=0.001, shape=0.001, motion=0.001, background=0.01, adversarial=2, boundary=1
+        image=1, matte=1, texture=0.1, pose=0.003, shape=0.001, motion=0.01, background=0.01, adversarial=2, boundary=1
     ),
 )
 _BEST = FitConfig(

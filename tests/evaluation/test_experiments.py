@@ -188,7 +188,7 @@ def test_ours_stands_beside_the_papers_numbers():
     assert every["paper: SfB"][-1] == "0.447"
     assert every["ours: `best`"] == ["0.750"] * 11
     assert all(f"- {sentence}" in page for sentence in experiment.differs)
-    assert "Not run here: sfb, paper." in page
+    assert "Not run here: sfb, paper-no-adversarial, paper." in page
 
 
 def test_other_intervals_leave_ours_unknown_but_for_all():
