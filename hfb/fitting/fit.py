@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import torch
 
@@ -337,15 +337,11 @@ class _Schedule:
         config, body = self.config, self.body
         poses = torch.stack([one.pose for one in first_bodies]).to(initial.observation.mattes)
         weights = base_weights(config, len(first_bodies))
+        backend: Literal["reference", "cpu"] = "reference" if config.rasterizer == "reference" else "cpu"
         return Objective(
             initial.observation,
             body,
-            make_rasterizer(
-                config.silhouette,
-                "reference" if config.rasterizer == "reference" else "cpu",
-                config.threads,
-                config.dibr_sharpness,
-            ),
+            make_rasterizer(config.silhouette, backend, config.threads, config.dibr_sharpness),
             self.pose_prior,
             weights,
             config.subframes,

@@ -215,12 +215,11 @@ def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[A
     def ask(mirrored: int) -> torch.Tensor:
         with one_torch_thread(), torch.inference_mode():
             one = picture.flip(-1) if mirrored else picture
-            output = network(one.contiguous(memory_format=torch.channels_last))[0]
-            output = torch.stack([torch.sigmoid(output[0]), output[1]])
-            return output.flip(-1) if mirrored else output
+            alpha, doubt = network(one.contiguous(memory_format=torch.channels_last))[0]
+            return torch.stack([torch.sigmoid(alpha), doubt])
 
-    there, here = run_tasks(ask, 2, torch.get_num_threads())
-    alpha, doubt = ((there + here) / 2).numpy()
+    output, mirrored = run_tasks(ask, 2, torch.get_num_threads())
+    alpha, doubt = ((output + mirrored.flip(-1)) / 2).numpy()
     return alpha[:height, :width].copy(), doubt[:height, :width].copy()
 
 

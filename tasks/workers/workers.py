@@ -164,7 +164,7 @@ _pool: _Pool | None = None
 _cluster: Cluster | None = None
 _threads = 1
 _last: object = None
-"""The function that this worker ran last."""
+"""The function that this process ran last."""
 _mapped = SimpleNamespace(seconds=0.0, busy_s=0.0)
 """Duration of steps over many inputs, and the workers' computing time in them."""
 
@@ -263,6 +263,8 @@ def run_local(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
     Raises:
         WorkerLost: the process that computed it died, three times.
     """
+    if not _pool:
+        _turn_to(function)
     return _pool.run(function, *args, **kwargs) if _pool else bare(function)(*args, **kwargs)
 
 
@@ -284,22 +286,22 @@ def run_remote(function: Callable[..., R], call: Call, gpu: bool = False) -> R:
 
 
 def _run_timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> tuple[R, float]:
-    global _last
-    if function is not _last:
-        _last = function
-        _return_memory()
+    _turn_to(function)
     began = time.monotonic()
     with about(ids):
         return bare(function)(*args, **kwargs), time.monotonic() - began
 
 
-def _return_memory() -> None:
+def _turn_to(function: object) -> None:
     """Give what the last kind of task has used back to the system, before another kind lays its own beside it."""
-    from hfb.initialization.landmarks import forget_networks
+    global _last
+    if function is not _last:
+        from hfb.initialization.landmarks import forget_networks
 
-    forget_networks()
-    with suppress(OSError, AttributeError):  # another system's C library
-        ctypes.CDLL(None).malloc_trim(0)
+        _last = function
+        forget_networks()
+        with suppress(OSError, AttributeError):  # another system's C library
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _begin(records: Any, environment: dict[str, str]) -> None:
