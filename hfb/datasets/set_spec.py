@@ -1,4 +1,4 @@
-"""The options of a synthetic set, which determine its cases. Light to import."""
+"""The options of a synthetic set, which determine its cases, and the files it is made from. Light to import."""
 
 from pathlib import Path
 from typing import Literal

@@ -89,10 +89,10 @@ def carried_along(
     stay: Stay,
     stages: Sequence[SilhouetteStage] = (_GENTLE, _FINE),
 ) -> SweptBody:
-    """Move a body that was found at rest along a path: its pose is more accurate, the path's size is.
+    """Fit a body that moves along a path to the matte. Of one found at rest the pose is accurate, not the size.
 
     Args:
-        first: a static body.
+        first: the body in the middle of the path.
         path_m: path of the body, from the first to the last instant.
         matte: the person's share of each pixel.
         camera: camera of the image.
