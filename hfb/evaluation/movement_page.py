@@ -103,21 +103,9 @@ def _shown(name: str, starts: Collection[str], oracles: Collection[str]) -> str:
 
 
 def _columns(spins: bool) -> Sequence[str]:
-    return [
-        "n",
-        "MPJPE / PA [mm]",
-        "in plane [px]",
-        "depth [mm]",
-        "lean [deg]",
-        "front wrong",
-        *(["spin [deg]"] if spins else []),
-        "motion [mm]",
-        "still body's [mm]",
-        "motion ratio",
-        "better direction",
-        "path",
-        "matte IoU",
-    ]
+    before = ["n", "MPJPE / PA [mm]", "in plane [px]", "depth [mm]", "lean [deg]", "front wrong"]
+    after = ["motion [mm]", "still body's [mm]", "motion ratio", "better direction", "path", "matte IoU"]
+    return [*before, *(["spin [deg]"] if spins else []), *after]
 
 
 def _figures(cell: Cell, spins: bool) -> list[str]:

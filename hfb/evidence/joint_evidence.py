@@ -193,19 +193,11 @@ def _predict(observation: Observation, windows: tuple[Window, ...], start: Float
     for frame, matte, window, first in inputs:
         image = picture_channels(frame.numpy(), plate, matte.numpy(), window.within(observation.camera))
         claim = _predict_mirrored(torch.from_numpy(image.astype(np.float32)) / 127.5 - 1, first)
-        predictions.append(
-            (
-                claim.joints[0],
-                claim.log_scale[0].exp(),
-                claim.path[0],
-                claim.log_odds[0],
-                claim.log_height[0],
-                claim.height_scale[0],
-            )
-        )
+        said = claim.joints, claim.log_scale.exp(), claim.path, claim.log_odds, claim.log_height, claim.height_scale
+        predictions.append(said)
     # Copied: inference tensors must not enter a graph.
     middle, scale, path, odds, log_height, height_scale = (
-        torch.stack(values).clone() for values in zip(*predictions, strict=True)
+        torch.cat(values).clone() for values in zip(*predictions, strict=True)
     )
     forwards = odds >= 0 if len(windows) == 1 else _along_neighbours(windows, middle, path)
     sign = torch.where(forwards, 1.0, -1.0)

@@ -156,7 +156,7 @@ class Objective:
         if weights.shape > 0:
             terms["shape"] = shape_loss(betas)
         if weights.motion > 0:
-            terms["motion"] = motion_loss(trajectory.rotation, trajectory.translation) / frames
+            terms["motion"] = motion_loss(trajectory) / frames
         if weights.adversarial > 0 and frames == 1 and self.motion_prior is not None:
             terms["adversarial"] = self.motion_prior(trajectory, shaped)
         if weights.boundary > 0 and frames > 1:

@@ -14,7 +14,7 @@ ROOMS = ("hfb", "tasks", "flows")
 LOOSE_MODULES = 4
 FILES_OF_A_ROOM = 20
 TUPLES_OF_ANY = 0
-LINES = {"product": 45_469, "training": 4_584}
+LINES = {"product": 45_461, "training": 4_584}
 """Of code, without docstrings, comments and blank lines; the product is all but `hfb.training`.
 
 The product's goal is 30,183, nine tenths of what adb3d25 had.

@@ -3,7 +3,16 @@
 import pytest
 import torch
 
-from hfb.objective.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss
+from hfb.body.skeleton import JOINT_NAMES, MIRROR
+from hfb.motion.trajectory import Trajectory
+from hfb.objective.regularizers import (
+    background_loss,
+    motion_loss,
+    polynomial_loss,
+    pose_loss,
+    shape_loss,
+    typical_sizes,
+)
 
 
 def test_the_pose_loss_is_the_mean_over_sub_frames():
@@ -30,6 +39,27 @@ def test_no_motion_costs_nothing_and_its_gradient_is_zero_not_nan():
 def test_polynomial_gradients_match_finite_differences():
     coefficients = torch.randn(3, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(3)).requires_grad_()
     assert torch.autograd.gradcheck(polynomial_loss, (coefficients,))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # compiled and as written
+def test_only_quaternions_count_in_units_of_their_typical_size(dtype: torch.dtype):
+    generator = torch.Generator().manual_seed(1)
+    rotation = torch.randn(2, 4, 24, 4, dtype=dtype, generator=generator)
+    translation = torch.randn(2, 4, 4, dtype=dtype, generator=generator)
+    plain = polynomial_loss(torch.cat([rotation[:, 1:].flatten(), translation[:, 1:].flatten()]))
+    assert motion_loss(Trajectory(rotation, translation, "axis-angle")).item() == pytest.approx(plain.item(), rel=1e-6)
+    sizes = typical_sizes(4, dtype, rotation.device)
+    in_units = Trajectory(rotation * sizes[:, :-1, None], translation * sizes[:, -1:])
+    assert motion_loss(in_units).item() == pytest.approx(plain.item(), rel=1e-6)
+
+
+def test_typical_sizes_are_alike_left_and_right_and_of_mean_one():
+    for count in (2, 3, 4, 7):
+        sizes = typical_sizes(count, torch.float64, torch.device("cpu"))
+        assert sizes.shape == (count, 25)
+        assert torch.equal(sizes[:, :-1], sizes[:, list(MIRROR)])
+        assert sizes[1:, :-1].mean().item() == pytest.approx(1)
+        assert (sizes[:, JOINT_NAMES.index("left_shoulder")] > 3 * sizes[:, JOINT_NAMES.index("spine2")]).all()
 
 
 def _subframes(colour: float, covered: float = 1.0) -> torch.Tensor:
